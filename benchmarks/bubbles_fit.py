@@ -13,8 +13,11 @@ import numpy as np
 import trabecula as tb
 from common import SCANS, busy, pictures, table, tell
 from trabecula.report.plot import curve_plot, hatching
-from trabecula.synth.bubbles.calibrate import reduced
-from trabecula.synth.bubbles.fit_objective import Look, look_of
+from trabecula.synth.bubbles.fit_objective import (
+    MaterialDescriptors,
+    descriptors_of,
+    reduce_exemplar,
+)
 from trabecula.view.slices import slices
 
 PARTS = ("pore_size", "thickness", "anisotropy", "porosity", "total")
@@ -48,8 +51,8 @@ def bubbles_fit() -> None:
     """Air voids of cement (100^3) and a slice of bread (380^2): distances at the first guess,
     found, and for three new seeds.
 
-    Distances are those of the search (likeness.py); below them figures of the certificate of what
-    is made of the settings, of the exemplar's covariance and of its pieces. With
+    Distances are those of the search (fit_objective.py); below them figures of the certificate of
+    results of the settings, of the exemplar's covariance and of its patches. With
     TRABECULA_BENCH_OUT named, plots of the distributions, and slices.
     """
     if not SCANS.is_dir():
@@ -103,11 +106,11 @@ def _draw(name: str, exemplar: tb.Image, made: tb.Image, report: dict[str, Any])
     folder = pictures()
     if folder is None:
         return
-    seen = reduced(exemplar)
-    fit = look_of(reduced(made).image)
+    seen = reduce_exemplar(exemplar)
+    fit = descriptors_of(reduce_exemplar(made).image)
     plots = [
-        _distribution("pore size", seen.look, fit, "pores", exemplar.unit),
-        _distribution("thickness of what is between", seen.look, fit, "walls", exemplar.unit),
+        _distribution("pore size", seen.measured, fit, "pores", exemplar.unit),
+        _distribution("thickness of what is between", seen.measured, fit, "walls", exemplar.unit),
         curve_plot({"least distance": np.array(report["trace"])}, title="search", x_label="trials"),
     ]
     (folder / f"bubbles_fit_{name}.html").write_text(
@@ -117,7 +120,9 @@ def _draw(name: str, exemplar: tb.Image, made: tb.Image, report: dict[str, Any])
         slices(image, Path(folder) / f"bubbles_fit_{name}_{label}.png")
 
 
-def _distribution(title: str, seen: Look, fit: Look | None, of: str, unit: str) -> str:
+def _distribution(
+    title: str, seen: MaterialDescriptors, fit: MaterialDescriptors | None, of: str, unit: str
+) -> str:
     """The share of voxels in larger spheres than so many units."""
     curves = {"exemplar": getattr(seen, of), "fit": getattr(fit, of)}
     step = max(curve.max() for curve in curves.values()) / 100

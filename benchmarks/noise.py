@@ -9,7 +9,7 @@ import numpy as np
 
 import trabecula as tb
 from common import busy, peak, table, unit
-from trabecula.synth.noise.pattern import tried_level
+from trabecula.synth.noise.pattern import trial_level
 
 POROSITY = 0.6
 LENGTH = 10.0
@@ -70,7 +70,7 @@ def _model(settings: Mapping[str, Any]) -> Any:
 
 def _cost(fit: Any, model: Any, base: float) -> tuple[str, ...]:
     model.generate(24, seed=0)
-    tried_level.cache_clear()
+    trial_level.cache_clear()
     learn = busy(fit)[0]
     make = min(busy(lambda: model.generate(256, seed=0))[0] for _ in range(2))
     held = peak(lambda: model.generate(256, seed=0)) / 256**3 - 1

@@ -10,7 +10,7 @@ import pytest
 import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.io import formats
-from trabecula.io.metadata import Content
+from trabecula.io.metadata import FileContent
 
 MODULE = '''
 import json
@@ -95,7 +95,7 @@ def test_a_format_of_another_distribution(tmp_path, monkeypatch, fresh):
     back = tb.read(path)
     assert np.array_equal(back.values, image.values) and back.phases == image.phases
     assert (back.spacing, back.unit) == (image.spacing, image.unit)
-    assert isinstance(formats.format_of(path).read(path), Content)
+    assert isinstance(formats.format_of(path).read(path), FileContent)
     path.write_bytes(path.read_bytes()[:-3])
     with pytest.raises(tb.errors.FileError, match="is it whole"):
         tb.read(path)

@@ -26,7 +26,7 @@ from trabecula.synth.mrf.fraction_control import (
 from trabecula.synth.mrf.lattice import SiteClasses, SiteLattice, build_lattices
 from trabecula.synth.mrf.relaxation import start_relaxation
 from trabecula.synth.mrf.site_update import COLD, COLDEST, coldness, draw_levels
-from trabecula.synth.mrf.slice_planes import SlicePlane, oblique_planes, plane_across, union_offsets
+from trabecula.synth.mrf.slice_planes import ViewPlane, oblique_planes, plane_across, union_offsets
 from trabecula.synth.mrf.statistics_feedback import PairCouplings
 
 HEATS = (4.0, 1.0, 0.3, 1 / 64)
@@ -569,7 +569,7 @@ def test_oblique_planes_learn_the_diagonals():
         )
         assert np.array_equal(slice_view.candidates.marginal, np.bincount(neighbourhoods.centres))
         assert slice_view.candidates is model.candidate_sets[0][slice_view.learner]
-    assert SlicePlane((0, 1, 1), (0, 1, -1)) in {slice_view.plane for slice_view in view_sets[1]}
+    assert ViewPlane((0, 1, 1), (0, 1, -1)) in {slice_view.plane for slice_view in view_sets[1]}
 
 
 @pytest.mark.parametrize("oblique", [False, True])

@@ -11,8 +11,9 @@ import trabecula as tb
 from trabecula.core.image import Image
 from trabecula.finish import PrintCheck
 from trabecula.mesh.base import Mesh
-from trabecula.report.verdict import Certificate, Metric
-from trabecula.synth.api.method import Capabilities, Method, Model
+from trabecula.report.metrics import Metric
+from trabecula.report.verdict import Certificate
+from trabecula.synth.api import Capabilities, Method, Model
 
 
 def ensemble(exemplar: tb.Image, folder: Path, seeds: range) -> list[tb.Image]:

@@ -3,6 +3,6 @@
 from trabecula.io.files import read, write
 from trabecula.io.formats import Format
 from trabecula.io.lazy import open_slabs
-from trabecula.io.metadata import Content
+from trabecula.io.metadata import FileContent
 
-__all__ = ["Content", "Format", "open_slabs", "read", "write"]
+__all__ = ["FileContent", "Format", "open_slabs", "read", "write"]

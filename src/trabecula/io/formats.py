@@ -22,7 +22,7 @@ from trabecula.core.checks import check_name
 from trabecula.core.errors import UnknownNameError
 from trabecula.core.image import Image
 from trabecula.core.progress import notify
-from trabecula.io.metadata import Content
+from trabecula.io.metadata import FileContent
 
 GROUP = "trabecula.formats"
 """Group of the entry points of formats."""
@@ -31,7 +31,7 @@ GROUP = "trabecula.formats"
 class FormatModule(Protocol):
     """The functions of a format's module. Both take the place of the file, or of the folder."""
 
-    def read(self, path: Path, /) -> Content:
+    def read(self, path: Path, /) -> FileContent:
         """Read a file; `FileError` where it is damaged (`trabecula.io.guard.report_damage`).
 
         A format that is `lazy` takes a second argument, the level.
@@ -89,7 +89,7 @@ class Format:
         """Import the format's module."""
         return cast(FormatModule, importlib.import_module(self.module))
 
-    def read(self, *arguments: Any) -> Content:
+    def read(self, *arguments: Any) -> FileContent:
         """Read a path, of a `lazy` format also a level of it."""
         return self.load().read(*arguments)
 

@@ -22,7 +22,7 @@ from trabecula.engine.memory import Plan, available_memory, check_budget, format
 from trabecula.engine.storage.location import Remote, location_of, path_or_remote
 from trabecula.io.guard import check_there, report_damage
 from trabecula.io.meaning import interpret
-from trabecula.io.metadata import Content, check_fields
+from trabecula.io.metadata import FileContent, check_fields
 
 
 def open_slabs(
@@ -99,7 +99,7 @@ def open_slabs(
         )
     # What a file's levels mean is said in one place, and for each alike: they stand for its voxels
     # there.
-    content = Content(
+    content = FileContent(
         levels.reshape(1, 1, -1),
         spacing=voxels.opened.scale or None,
         unit=voxels.opened.unit,

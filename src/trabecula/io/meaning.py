@@ -13,14 +13,14 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import KINDS, MAX_PHASES, Image, distinct_levels, labels
 from trabecula.core.progress import notify
 from trabecula.core.recipe import Recipe
-from trabecula.io.metadata import Content
+from trabecula.io.metadata import FileContent
 from trabecula.io.units import canonical, check_unit
 
 FEW_LEVELS = 8
 """Integer data of at most so many levels are labels unless `kind` is given."""
 
 
-def interpret(content: Content, *, source: str, options: Mapping[str, Any]) -> Image:
+def interpret(content: FileContent, *, source: str, options: Mapping[str, Any]) -> Image:
     """Make an Image of a file's content.
 
     Parameters
@@ -59,7 +59,7 @@ def interpret(content: Content, *, source: str, options: Mapping[str, Any]) -> I
     return replace(image, recipe=_recipe(image, content, source, options, levels))
 
 
-def _report_spacing(image: Image, content: Content, source: str) -> None:
+def _report_spacing(image: Image, content: FileContent, source: str) -> None:
     """Report a spacing from tags that often mean something else, and tags that were ignored."""
     if content.ignored:
         notify(f"{source}: {content.ignored}")
@@ -68,7 +68,7 @@ def _report_spacing(image: Image, content: Content, source: str) -> None:
         notify(f"{source}: spacing {edges} {image.unit} from {content.origin}")
 
 
-def _origin(content: Content, options: Mapping[str, Any]) -> dict[str, str]:
+def _origin(content: FileContent, options: Mapping[str, Any]) -> dict[str, str]:
     """Return the fields of a step "read" on the spacing: its origin, and ignored tags."""
     own = content.fields or {}
     if "spacing" in options:
@@ -86,7 +86,7 @@ def _origin(content: Content, options: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _recipe(
-    image: Image, content: Content, source: str, options: Mapping[str, Any], levels: list | None
+    image: Image, content: FileContent, source: str, options: Mapping[str, Any], levels: list | None
 ) -> Recipe:
     """Return the file's own recipe, followed by a step "read" where the caller's options change
     what the file says.
@@ -116,7 +116,7 @@ def _recipe(
     )
 
 
-def _fields_in_file(content: Content) -> list[str]:
+def _fields_in_file(content: FileContent) -> list[str]:
     """List the fields that the file itself states, ours or its format's; options given to `read`
     win over them.
     """

@@ -15,7 +15,7 @@ KEY = "trabecula"
 
 
 @dataclass(frozen=True)
-class Content:
+class FileContent:
     """What a reader found in a file, before anyone says what it means.
 
     Parameters

@@ -16,7 +16,7 @@ from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
 from trabecula.io.guard import DEFLATE, check_claim, check_dtype, check_there, report_damage
-from trabecula.io.metadata import Content, decode, encode
+from trabecula.io.metadata import FileContent, decode, encode
 from trabecula.io.units import canonical
 
 _ELEMENTS = {
@@ -88,7 +88,7 @@ def _header(image: Image, data_file: str, *, packed: int | None = None) -> str:
     return "".join(f"{key} = {value}\n" for key, value in lines.items())
 
 
-def read(path: Path) -> Content:
+def read(path: Path) -> FileContent:
     """Read .mhd, .mha, or the .raw beside an .mhd (see `trabecula.io.files.read`)."""
     if path.suffix.lower() == ".raw":
         header = path.with_suffix(".mhd")
@@ -110,7 +110,7 @@ def read(path: Path) -> Content:
             for key in sorted(fields)
             if key.startswith(_KEY)
         ]
-        return Content(
+        return FileContent(
             values,
             colour=channels == 3,
             spacing=spacing,

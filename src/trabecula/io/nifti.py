@@ -14,7 +14,7 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
 from trabecula.io.guard import DEFLATE, NUMBERS, check_claim, check_dtype, report_damage
-from trabecula.io.metadata import Content, decode, encode
+from trabecula.io.metadata import FileContent, decode, encode
 from trabecula.io.units import canonical, has_length, to_metres
 
 _RGB = np.dtype([("R", "u1"), ("G", "u1"), ("B", "u1")])
@@ -48,7 +48,7 @@ def write(image: Image, path: Path) -> Path:
     return path
 
 
-def read(path: Path) -> Content:
+def read(path: Path) -> FileContent:
     """Read .nii or .nii.gz (see `trabecula.io.files.read`)."""
     import nibabel
 
@@ -70,7 +70,7 @@ def read(path: Path) -> Content:
             abs(float(zoom)) for zoom in reversed(header.get_zooms()[: values.ndim - colour])
         )
         unit = header.get_xyzt_units()[0]
-        return Content(
+        return FileContent(
             values,
             colour=bool(colour),
             spacing=zooms if all(zooms) else None,

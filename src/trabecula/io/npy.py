@@ -11,7 +11,7 @@ from trabecula.core.image import Image
 from trabecula.engine.files import replacing
 from trabecula.io import sidecar
 from trabecula.io.guard import check_claim, report_damage
-from trabecula.io.metadata import Content, encode
+from trabecula.io.metadata import FileContent, encode
 
 
 def write(image: Image, path: Path) -> Path:
@@ -25,7 +25,7 @@ def write(image: Image, path: Path) -> Path:
     return path
 
 
-def read(path: Path) -> Content:
+def read(path: Path) -> FileContent:
     """Read .npy, alone or with its sidecar (see `trabecula.io.files.read`)."""
     with report_damage(path, "NumPy", also=(TokenError,)):
         # The map allocates nothing, so that the header's claim can be weighed first; it fails where
@@ -33,4 +33,4 @@ def read(path: Path) -> Content:
         mapped = np.lib.format.open_memmap(path, mode="r")
         check_claim(path, mapped.shape, mapped.dtype)
         values = np.array(mapped, order="C")
-    return Content(values, fields=sidecar.read_sidecar(path, values))
+    return FileContent(values, fields=sidecar.read_sidecar(path, values))

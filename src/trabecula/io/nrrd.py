@@ -12,7 +12,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
 from trabecula.io.guard import DEFLATE, NUMBERS, check_claim, check_dtype, report_damage
-from trabecula.io.metadata import KEY, Content, decode, encode
+from trabecula.io.metadata import KEY, FileContent, decode, encode
 from trabecula.io.units import has_length
 
 _NAMES = {  # as the format's definition lists them, NRRD 5, section 5
@@ -70,7 +70,7 @@ def write(image: Image, path: Path) -> Path:
     return path
 
 
-def read(path: Path) -> Content:
+def read(path: Path) -> FileContent:
     """Read .nrrd (see `trabecula.io.files.read`)."""
     import nrrd
 
@@ -94,7 +94,7 @@ def read(path: Path) -> Content:
                 "fastest axis can be read"
             )
         spacing, unit = _calibration(header, kinds)
-        return Content(
+        return FileContent(
             values, colour=colour, spacing=spacing, unit=unit, fields=decode(header.get(KEY))
         )
 

@@ -11,7 +11,7 @@ from trabecula.core.image import Image, describe_fields
 from trabecula.engine import store
 from trabecula.engine.storage.location import Remote
 from trabecula.io.guard import check_claim, report_damage
-from trabecula.io.metadata import Content, check_fields
+from trabecula.io.metadata import FileContent, check_fields
 from trabecula.io.units import long_name
 
 
@@ -28,7 +28,7 @@ def write(image: Image, path: Path | Remote) -> Path | Remote:
     return path
 
 
-def read(path: Path | Remote, level: int = 0) -> Content:
+def read(path: Path | Remote, level: int = 0) -> FileContent:
     """Read a level of a Zarr store (see `trabecula.io.files.read`)."""
     with report_damage(path, "Zarr"):
         opened = store.open_finished(path, level)
@@ -40,14 +40,16 @@ def read(path: Path | Remote, level: int = 0) -> Content:
         )
         values = opened.load()
         if fields is None:
-            return Content(
+            return FileContent(
                 _spatial(path, values, len(opened.scale)),
                 spacing=opened.scale or None,
                 unit=opened.unit,
             )
         colour = fields["kind"] == "colour"
         values = np.moveaxis(values, 0, -1) if colour else values
-        return Content(values, colour=colour, spacing=opened.scale, unit=opened.unit, fields=fields)
+        return FileContent(
+            values, colour=colour, spacing=opened.scale, unit=opened.unit, fields=fields
+        )
 
 
 def _spatial(path: Path | Remote, values: np.ndarray, axes: int) -> np.ndarray:

@@ -14,7 +14,7 @@ from trabecula.engine.files import replacing
 from trabecula.io import sidecar
 from trabecula.io.formats import format_of
 from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
-from trabecula.io.metadata import KEY, Content, decode, encode, greys_of_labels, labels_of_greys
+from trabecula.io.metadata import KEY, FileContent, decode, encode, greys_of_labels, labels_of_greys
 from trabecula.io.pixels import from_palette, without_alpha
 from trabecula.io.resolution import Calibration, from_resolution
 
@@ -81,7 +81,7 @@ def _picture(values: np.ndarray) -> Any:
     return Picture.fromarray(np.ascontiguousarray(values))
 
 
-def read(path: Path) -> Content:
+def read(path: Path) -> FileContent:
     """Read a picture (see `trabecula.io.files.read`)."""
     form = format_of(path).name
     with report_damage(path, form):
@@ -105,7 +105,7 @@ def read(path: Path) -> Content:
             text = picture.info.get(KEY) if form == "PNG" else picture.info.get("comment")
             size = _calibration(picture, form)
         fields = sidecar.read_sidecar(path, values) if form == "BMP" else decode(text)
-        return Content(
+        return FileContent(
             labels_of_greys(values, fields),
             colour=colour,
             fields=fields,

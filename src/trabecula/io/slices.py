@@ -16,7 +16,7 @@ from trabecula.engine.files import replacing
 from trabecula.io import raster
 from trabecula.io.formats import format_of, suffixes
 from trabecula.io.guard import check_claim, check_dtype, report_damage
-from trabecula.io.metadata import Content, decode, encode, greys_of_labels, labels_of_greys
+from trabecula.io.metadata import FileContent, decode, encode, greys_of_labels, labels_of_greys
 
 _FIELDS = "trabecula.json"
 _OURS = re.compile(r"slice_\d+\.png|trabecula\.json")
@@ -54,7 +54,7 @@ def _check_replaceable(path: Path) -> None:
         )
 
 
-def read(path: Path) -> Content:
+def read(path: Path) -> FileContent:
     """Read a folder of slices (see `trabecula.io.files.read`)."""
     with report_damage(path, "a folder of slices"):
         names = _slices(path)
@@ -72,7 +72,7 @@ def read(path: Path) -> Content:
                 "says nothing of z: ignored; "
                 "give the spacing (--spacing, --unit)"
             )
-        return Content(
+        return FileContent(
             labels_of_greys(values, fields), colour=first.colour, fields=fields, ignored=ignored
         )
 
@@ -101,14 +101,14 @@ def _slices(path: Path) -> list[Path]:
     )
 
 
-def _plane(name: Path) -> Content:
+def _plane(name: Path) -> FileContent:
     content = format_of(name).read(name)
     if content.values.ndim - content.colour != 2:
         raise FileError(f"{name} is a stack of its own, not a slice: read it alone")
     return content
 
 
-def _alike(plane: Content, first: Content, name: Path) -> Content:
+def _alike(plane: FileContent, first: FileContent, name: Path) -> FileContent:
     this, that = plane.values, first.values
     if this.shape != that.shape or this.dtype != that.dtype or plane.colour != first.colour:
         raise FileError(

@@ -22,7 +22,7 @@ from trabecula.core.image import Image
 from trabecula.engine.files import replacing
 from trabecula.engine.parallel import thread_count
 from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
-from trabecula.io.metadata import Content, decode, encode
+from trabecula.io.metadata import FileContent, decode, encode
 from trabecula.io.pixels import from_palette, without_alpha
 from trabecula.io.resolution import Calibration, from_resolution, plausible
 from trabecula.io.units import canonical, has_length, symbol, to_metres
@@ -121,7 +121,7 @@ def _per_unit(edge: float) -> tuple[int, int]:
     return near.denominator, near.numerator
 
 
-def read(path: Path) -> Content:
+def read(path: Path) -> FileContent:
     """Read a TIFF (see `trabecula.io.files.read`)."""
     import tifffile
 
@@ -152,7 +152,7 @@ def read(path: Path) -> Content:
         if fields is not None and len(fields["spacing"]) == 3 and values.ndim - colour == 2:
             # a volume of one slice, which TIFF itself cannot tell from a picture
             values = values[None]
-        return Content(
+        return FileContent(
             values,
             colour=colour,
             fields=fields,

@@ -21,7 +21,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
 from trabecula.io.guard import DEFLATE, check_claim, check_dtype, report_damage
-from trabecula.io.metadata import KEY, Content, decode, encode
+from trabecula.io.metadata import KEY, FileContent, decode, encode
 
 _TYPES = {
     "UInt8": "uint8",
@@ -118,7 +118,7 @@ class _File:
         return bool(compressor)
 
 
-def read(path: Path) -> Content:
+def read(path: Path) -> FileContent:
     """Read .vti (see `trabecula.io.files.read`)."""
     with report_damage(path, "VTK ImageData"):
         whole = _parse(path)
@@ -139,7 +139,7 @@ def read(path: Path) -> Content:
         check_claim(path, shape, dtype, stored=room)
         values = _values(whole, array, dtype, int(np.prod(shape, dtype=np.int64))).reshape(shape)
         spacing = [abs(float(edge)) for edge in reversed(grid.get("Spacing", "1 1 1").split())]
-        return Content(
+        return FileContent(
             values,
             colour=channels == 3,
             spacing=tuple(spacing if spans[2] else spacing[1:]),

@@ -121,7 +121,7 @@ def generate_to(
     with _connect(cluster, memory) as workers:
         blocks = choose_blocks(model, request, path, memory=memory, chunks=chunks, workers=workers)
         if blocks is not None:
-            run = _Run(model, request, location_of(path), blocks, workers)
+            run = _BlockRun(model, request, location_of(path), blocks, workers)
             if makes_boxes(model):
                 return _write_windows(run, model)
             return _write_out_of_core(
@@ -136,7 +136,7 @@ def generate_to(
 
 
 @dataclass(frozen=True)
-class _Run:
+class _BlockRun:
     """A run that writes a store block by block."""
 
     model: Model
@@ -158,7 +158,7 @@ def _write_in_memory(
     return Result(target, material.shape, repr(material), material.recipe)
 
 
-def _write_windows(run: _Run, model: WindowModel) -> Result:
+def _write_windows(run: _BlockRun, model: WindowModel) -> Result:
     """Make each block alone, into a store."""
     request = run.request
 
@@ -170,7 +170,7 @@ def _write_windows(run: _Run, model: WindowModel) -> Result:
 
 
 def _write_out_of_core(
-    run: _Run, *, memory: int | None, chunks: int | None, scratch: Path | None
+    run: _BlockRun, *, memory: int | None, chunks: int | None, scratch: Path | None
 ) -> Result:
     """Make the whole volume in scratch files, then copy it from these into a store."""
     model, request = run.model, run.request
@@ -215,7 +215,7 @@ def _scratch_folder(
 
 
 def _stream(
-    run: _Run,
+    run: _BlockRun,
     make: Callable[[Box], np.ndarray],
     recipe: Callable[[str], Recipe],
     *,

@@ -1,13 +1,12 @@
-"""Growth told voxel by voxel in NumPy, straight from its definition: what the kernels must agree
-with.
-"""
+"""Growth voxel by voxel in NumPy, straight from its definition: the reference of the kernels."""
 
 import numpy as np
 
 
 def void(places, brakes, points, *, wall, level, across=1.0, along=1.0, flow=(0, 0, 0)):
-    """Where among points (N, 3) the first bubble comes before T^2 = level, and no other meets it
-    within half a wall.
+    """Return a mask of the void among points (N, 3).
+
+    It is where the first bubble comes before T^2 = level, and no other meets it within half a wall.
     """
     return np.concatenate(
         [

@@ -9,9 +9,13 @@ import pytest
 
 import trabecula as tb
 from trabecula.errors import InputError
-from trabecula.synth.bubbles.calibrate import reduced
-from trabecula.synth.bubbles.fit_objective import FARTHEST, apart, look_of
-from trabecula.synth.bubbles.fit_search import Scale, Search, even
+from trabecula.synth.bubbles.calibrate import Scale, Search, halton_points
+from trabecula.synth.bubbles.fit_objective import (
+    FARTHEST,
+    descriptors_of,
+    distances,
+    reduce_exemplar,
+)
 
 TWO = [Scale("a", -2.0, 2.0, 0.5), Scale("b", 0.0, 1.0, 0.25)]
 
@@ -52,7 +56,7 @@ def test_a_second_start_leaves_a_hollow_that_is_not_the_deepest():
 
 
 def test_even_points_fill_the_ranges_that_are_near():
-    points = np.array(even(TWO, (0.0, 0.5), 64))
+    points = np.array(halton_points(TWO, (0.0, 0.5), 64))
     assert (
         points[:, 0].min() >= -2
         and points[:, 0].max() <= 2
@@ -62,29 +66,31 @@ def test_even_points_fill_the_ranges_that_are_near():
     for axis, (low, high) in enumerate([(-2, 2), (0, 1)]):
         counts, _ = np.histogram(points[:, axis], bins=4, range=(low, high))
         assert counts.min() >= 13
-    assert np.abs(np.array(even(TWO, (2.0, 0.0), 20))[:, 0] - 2).max() <= 4 * TWO[0].step
+    assert np.abs(np.array(halton_points(TWO, (2.0, 0.0), 20))[:, 0] - 2).max() <= 4 * TWO[0].step
 
 
 def balls(radius, *, period=16, side=48):
-    """Void balls on a cubic lattice in solid."""
+    """Return void balls on a cubic lattice in solid."""
     z, y, x = np.ogrid[:side, :side, :side]
     far = sum(((axis % period) - (period - 1) / 2) ** 2 for axis in (z, y, x))
     return tb.Image((far > radius**2).astype(np.uint8), "labels")
 
 
 def test_distances_are_none_to_itself_and_tell_what_differs():
-    six = look_of(balls(6))
-    assert set(apart(six, six).values()) == {0.0}
-    larger = apart(look_of(balls(7)), six)
+    six = descriptors_of(balls(6))
+    assert set(distances(six, six).values()) == {0.0}
+    larger = distances(descriptors_of(balls(7)), six)
     assert larger["pore_size"] == pytest.approx(1 / 6, abs=0.1) and larger["porosity"] > 0.3
     flat = tb.Image(np.repeat(balls(6).values[::2], 2, axis=0)[:48], "labels")
     stretched = np.repeat(balls(6).values, 2, axis=0)[:48]
     assert (
-        apart(look_of(tb.Image(stretched, "labels")), six)["anisotropy"]
-        > 3 * apart(look_of(flat), six)["anisotropy"]
+        distances(descriptors_of(tb.Image(stretched, "labels")), six)["anisotropy"]
+        > 3 * distances(descriptors_of(flat), six)["anisotropy"]
     )
     assert (
-        apart(look_of(tb.Image(np.zeros((20, 20, 20), np.uint8), "labels")), six)["pore_size"]
+        distances(descriptors_of(tb.Image(np.zeros((20, 20, 20), np.uint8), "labels")), six)[
+            "pore_size"
+        ]
         == FARTHEST
     )
 
@@ -92,15 +98,15 @@ def test_distances_are_none_to_itself_and_tell_what_differs():
 def test_an_exemplar_is_made_coarser_and_cut_no_further_than_needed():
     fine = np.kron(balls(6, side=64).values, np.ones((3, 3, 3), np.uint8))
     # 36 voxels across, of which their discs tell a little less
-    seen = reduced(tb.Image(fine, "labels", 2.0, "um"))
+    seen = reduce_exemplar(tb.Image(fine, "labels", 2.0, "um"))
     assert (
         seen.image.spacing == (4.0,) * 3
         and seen.image.unit == "um"
         and seen.image.shape == (72, 72, 72)
     )
     # Balls on a lattice grow and shrink all at once: a measure of the middle comes no nearer.
-    assert seen.look.porosity == pytest.approx(np.mean(fine == 0), abs=0.025)
-    named = reduced(tb.Image(1 - balls(6).values, "labels", 1.0, "um", ("rock", "void")))
+    assert seen.measured.porosity == pytest.approx(np.mean(fine == 0), abs=0.025)
+    named = reduce_exemplar(tb.Image(1 - balls(6).values, "labels", 1.0, "um", ("rock", "void")))
     assert np.array_equal(named.image.values, balls(6).values)
 
 
@@ -121,7 +127,7 @@ def exemplar(side=40, **settings):
 
 @pytest.fixture(scope="module")
 def own():
-    """A foam of settings that are known, and the model that was found for it."""
+    """Return a foam of known settings, and the model found for it."""
     known = exemplar()
     return known, tb.method("bubbles", trials=20).fit(known)
 
@@ -193,10 +199,10 @@ def test_an_exemplar_with_bubbles_at_its_rim_alone_is_refused():
 
 
 def test_a_file_tells_what_was_found(tmp_path, monkeypatch):
-    """Loading looks for nothing."""
+    """Load without a search."""
     model = tb.method("bubbles", trials=4).fit(tb.crop(tb.sample("bone"), 24))
     model.save(tmp_path / "bone.model")
-    monkeypatch.setattr("trabecula.synth.bubbles.method.calibrated", None)
+    monkeypatch.setattr("trabecula.synth.bubbles.method.calibrate", None)
     again = tb.load_model(tmp_path / "bone.model")
     assert (again.found, again.report, again.sha256) == (model.found, model.report, model.sha256)
     assert again.found != again.config

@@ -1,4 +1,4 @@
-"""What is drawn before growth: how many bubbles, where, how fast, and what they do to each other."""
+"""Nucleation: number, places and speeds of bubbles, repulsion and absorption."""
 
 import numpy as np
 import pytest
@@ -7,11 +7,11 @@ from scipy.spatial import cKDTree
 
 import trabecula as tb
 from trabecula.synth.bubbles.config import BubblesConfig
-from trabecula.synth.bubbles.growth_law import SWALLOWED, counts_of, law_of
+from trabecula.synth.bubbles.growth_law import ABSORBED, counts_of, law_of
 
 
-def drawn(side, *, seed=1, ndim=3, periodic=False, **settings):
-    """Places and brakes of the bubbles that start in a cube."""
+def nuclei(side, *, seed=1, ndim=3, periodic=False, **settings):
+    """Return places, brakes and names of the bubbles that start in a cube."""
     model = tb.method("bubbles", **{"roughness": 0.0, **settings}).fit()
     shape = (side,) * ndim
     growth = model._growth(tb.Request(shape, seed=seed, periodic=periodic))
@@ -36,8 +36,8 @@ def test_the_most_regular_counts_keep_the_mean():
 @pytest.mark.parametrize(("ndim", "side"), [(3, 110), (2, 500)])
 @pytest.mark.parametrize("regularity", [0.0, 1.0])
 def test_there_are_as_many_bubbles_as_the_density_says(ndim, side, regularity):
-    """Where none swallows another."""
-    places, _, _ = drawn(
+    """Count bubbles where none absorbs another."""
+    places, _, _ = nuclei(
         side, ndim=ndim, distance=10.0, spread=0.0, regularity=regularity, separation=0.0
     )
     expected = (side / 10) ** ndim
@@ -48,7 +48,7 @@ def test_there_are_as_many_bubbles_as_the_density_says(ndim, side, regularity):
 def test_regular_bubbles_are_farther_from_their_nearest():
     nearest = {}
     for regularity in (0.0, 0.5, 1.0):
-        places, _, _ = drawn(100, distance=10.0, spread=0.0, separation=0.0, regularity=regularity)
+        places, _, _ = nuclei(100, distance=10.0, spread=0.0, separation=0.0, regularity=regularity)
         nearest[regularity] = cKDTree(places).query(places, 2)[0][:, 1]
     # Of a Poisson process: Gamma(4/3) / (4 pi / 3)^(1/3) = 0.554 L (Hertz 1909).
     assert nearest[0.0].mean() == pytest.approx(5.54, rel=0.05)
@@ -64,23 +64,23 @@ def test_sizes_follow_the_law():
         assert np.log(speeds).std() == pytest.approx(
             0.4 * stats.truncnorm(-2.5, 2.5).std(), rel=1e-3
         )
-    _, brakes, names = drawn(150, distance=10.0, spread=0.4, separation=0.0)
+    _, brakes, names = nuclei(150, distance=10.0, spread=0.4, separation=0.0)
     assert 0.28 < np.log(brakes).std() < 0.382, (
-        "of those that are left: slow ones are swallowed first"
+        "of those that are left: slow ones are absorbed first"
     )
     assert len(np.unique(names)) > 0.999 * len(names)
 
 
-def test_slow_bubbles_in_front_of_fast_ones_are_swallowed():
-    """What is left obeys the rule, pair by pair; and only what broke it is gone."""
-    all_of_them = drawn(120, distance=10.0, spread=0.0, separation=0.0, regularity=0.0)[0]
-    places, brakes, _ = drawn(120, distance=10.0, spread=0.5, separation=0.0, regularity=0.0)
+def test_slow_bubbles_in_front_of_fast_ones_are_absorbed():
+    """Check the rule pair by pair on the rest; all others broke it."""
+    all_of_them = nuclei(120, distance=10.0, spread=0.0, separation=0.0, regularity=0.0)[0]
+    places, brakes, _ = nuclei(120, distance=10.0, spread=0.5, separation=0.0, regularity=0.0)
     assert 0.7 * len(all_of_them) < len(places) < 0.95 * len(all_of_them)
     for i, j in cKDTree(places).query_pairs(9.0):
         ratio = max(brakes[i], brakes[j]) / min(brakes[i], brakes[j])
         if ratio > 1:
             off = np.linalg.norm(places[i] - places[j])
-            assert off * ratio / (ratio**2 - 1) >= SWALLOWED * 10 - 0.01
+            assert off * ratio / (ratio**2 - 1) >= ABSORBED * 10 - 0.01
 
 
 def test_the_same_bubbles_on_any_grid():

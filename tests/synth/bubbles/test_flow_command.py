@@ -8,7 +8,7 @@ import pytest
 import trabecula as tb
 from commands import refused, trabecula
 from trabecula.measure import porosity
-from trabecula.synth.bubbles.flow.presets import PRESETS
+from trabecula.synth.bubbles.presets import PRESETS
 
 START = ("generate", "--method", "bubbles")
 
@@ -21,7 +21,7 @@ def here(tmp_path, monkeypatch):
 
 @pytest.fixture
 def loaf(here):
-    """A closed surface, and the same with a hole."""
+    """Return a closed surface, and the same with a hole."""
     z, y, x = np.indices((24, 28, 40)) - np.array([11.5, 13.5, 19.5])[:, None, None, None]
     inside = (z / 11) ** 2 + (y / 13) ** 2 + (x / 19) ** 2 < 1
     tb.export(tb.Image(inside.astype(np.uint8), "labels"), here / "loaf.ply")

@@ -12,8 +12,12 @@ from scipy import ndimage
 import trabecula as tb
 from trabecula.errors import FileError, InputError, UnknownNameError
 from trabecula.synth.bubbles.flow import FlowConfig, flow_of
-from trabecula.synth.bubbles.flow.outline import along_outline
-from trabecula.synth.bubbles.flow.slices import centre_of, extent_of, piece_centres
+from trabecula.synth.bubbles.flow.slices import (
+    along_outline,
+    centre_of,
+    component_centres,
+    extent_of,
+)
 
 
 def disc(side, radius, at):
@@ -44,7 +48,7 @@ def test_centre_of_mass_and_extent_of_a_slice():
 
 def test_every_piece_has_its_own_centre():
     plane = disc(40, 6, (10, 10)) | disc(40, 8, (28, 27))
-    rows, columns = piece_centres(plane, (20.0, 20.0))
+    rows, columns = component_centres(plane, (20.0, 20.0))
     assert (rows[10, 10], columns[10, 10]) == (10.5, 10.5)
     assert (rows[28, 27], columns[30, 24]) == (28.5, 27.5)
     assert (rows[0, 0], columns[0, 0]) == (20.0, 20.0)
@@ -121,7 +125,7 @@ def test_a_form_that_fills_its_box_has_its_border_at_the_faces():
 
 
 def test_the_gradient_is_that_of_the_blurred_slice():
-    """Beside SciPy: the mean over a disc and a central difference."""
+    """Compare with SciPy: the mean over a disc and a central difference."""
     rng = np.random.default_rng(3)
     plane = ndimage.gaussian_filter(rng.normal(size=(50, 40)), 5) > 0
     rows, columns, every = along_outline(plane, 7)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trabecula.synth.bubbles.flow import FlowConfig, flow_of
-from trabecula.synth.bubbles.flow.forecast import bytes_of_flow
+from trabecula.synth.bubbles.flow.field import bytes_of_flow
 
 SIDE = 72
 FIELD = np.random.default_rng(1).normal(size=(8, 9, 10, 3))

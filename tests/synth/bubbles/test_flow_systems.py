@@ -19,7 +19,7 @@ WHOLE = ((0, SIDE),) * 3
 
 
 def whole(shape=(SIDE,) * 3, spacing=1.0, **settings):
-    """Directions -1 .. 1 of a whole box."""
+    """Return directions -1 .. 1 of a whole box."""
     flow = flow_of(FlowConfig(**settings), shape, spacing)
     return flow.directions(tuple((0, side) for side in shape)) / 127
 

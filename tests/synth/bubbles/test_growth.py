@@ -1,4 +1,4 @@
-"""Growth by fronts: against its definition in NumPy, and against what is known of single bubbles."""
+"""Growth by fronts: against its definition in NumPy, and known results of single bubbles."""
 
 import numpy as np
 import pytest
@@ -12,14 +12,14 @@ import trabecula as tb
 SHAPE = (14, 22, 19)
 
 
-def grown(shape, *, seed=1, spacing=1.0, **settings):
+def grow(shape, *, seed=1, spacing=1.0, **settings):
     return (
         tb.method("bubbles", **settings).fit(spacing=spacing).generate(shape, seed=seed).values == 0
     )
 
 
 def bubbles(shape, *, seed=1, **settings):
-    """Places, brakes, names of the bubbles around a box, and the law."""
+    """Return places, brakes, names of the bubbles around a box, and the law."""
     model = tb.method("bubbles", **settings).fit()
     growth = model._growth(tb.Request(shape, seed=seed))
     deep = (1,) * (3 - len(shape)) + tuple(shape)
@@ -48,7 +48,7 @@ def test_voxels_are_those_of_the_definition(shape, more):
     q = (0, 0, 1) if "flow" in more else (0, 0, 0)
     rules = {"wall": law.wall, "level": law.latest**2, "across": law.across, "along": law.along}
     expected = void(places, brakes, points(shape), flow=q, **rules).reshape(shape)
-    made = grown(shape, **settings)
+    made = grow(shape, **settings)
     assert 0.2 < expected.mean() < 0.95
     assert (made != expected).mean() < 0.02, "a wall's slope is taken in the middle of its block"
     assert not ndimage.binary_erosion(made != expected).any()
@@ -58,12 +58,13 @@ def test_without_walls_the_definition_holds_to_the_voxel():
     settings = {"distance": 9.0, "roughness": 0.0, "separation": 0.0, "time": 0.5}
     places, brakes, _, law = bubbles(SHAPE, **settings)
     expected = void(places, brakes, points(SHAPE), wall=0, level=law.latest**2).reshape(SHAPE)
-    assert np.count_nonzero(grown(SHAPE, **settings) != expected) <= 2
+    assert np.count_nonzero(grow(SHAPE, **settings) != expected) <= 2
 
 
 def alone(time, **settings):
-    """The void about one bubble that meets no other, where it starts, and when it stopped; L is 60
-    voxels.
+    """Return the void about one bubble that meets no other, its start, and its stop.
+
+    L is 60 voxels.
     """
     settings = {
         "distance": 60.0,
@@ -77,7 +78,7 @@ def alone(time, **settings):
         places, _, _, law = bubbles((100, 100, 100), seed=seed, **settings)
         middle = places[(np.abs(places - 50) < 15).all(1)]
         if len(middle):
-            labels, _ = ndimage.label(grown((100, 100, 100), seed=seed, **settings))
+            labels, _ = ndimage.label(grow((100, 100, 100), seed=seed, **settings))
             return labels == labels[tuple(np.round(middle[0]).astype(int))], middle[0], law.latest
     raise AssertionError("no seed puts a bubble in the middle")
 
@@ -102,7 +103,7 @@ def test_a_bubble_in_a_straight_flow_is_an_ellipsoid():
 
 
 def test_a_bubble_in_a_circling_flow_bends_with_it():
-    """Of two voxels ahead of its start, the one on the circle is its own, the one on the tangent is
+    """Check two voxels ahead of its start: that on the circle is its own, that on the tangent is
     not.
     """
     chosen = {
@@ -114,7 +115,7 @@ def test_a_bubble_in_a_circling_flow_bends_with_it():
         "time": 0.25,
     }
     places, _, _, _ = bubbles((300, 300), seed=2, **chosen)
-    labels, _ = ndimage.label(grown((300, 300), seed=2, **chosen))
+    labels, _ = ndimage.label(grow((300, 300), seed=2, **chosen))
     on_circle = on_tangent = tried = 0
     for place in places[:, 1:]:
         arm = place - 149.5
@@ -135,9 +136,9 @@ def test_a_bubble_in_a_circling_flow_bends_with_it():
 
 @pytest.mark.parametrize("separation", [2.0, 4.0])
 def test_walls_are_as_thick_as_the_separation(separation):
-    """Where two bubbles of one size meet, counted straight through the wall."""
+    """Count straight through the wall of two bubbles of one size."""
     settings = {"distance": 24.0, "spread": 0.0, "roughness": 0.0, "separation": separation}
-    made = grown((96, 96, 96), **settings)
+    made = grow((96, 96, 96), **settings)
     places, _, _, _ = bubbles((96, 96, 96), **settings)
     places = places[((places > 0) & (places < 95)).all(1)]
     found = []
@@ -157,8 +158,8 @@ def test_walls_are_as_thick_as_the_separation(separation):
 
 
 def test_bubbles_that_all_merge_leave_no_wall():
-    assert grown(SHAPE, coalescence=1.0).all()
-    shares = [grown((48, 48, 48), coalescence=share).mean() for share in (0, 0.5, 1)]
+    assert grow(SHAPE, coalescence=1.0).all()
+    shares = [grow((48, 48, 48), coalescence=share).mean() for share in (0, 0.5, 1)]
     assert shares[0] < shares[1] < shares[2]
 
 
@@ -167,12 +168,12 @@ def test_the_same_seed_gives_the_same_bubbles_on_another_grid():
     shifts.
     """
     settings = {"density": 12.0**-3, "roughness": 0.0}
-    fine = grown((60, 60, 60), spacing=0.5, **settings)[::2, ::2, ::2]
-    coarse = grown((30, 30, 30), spacing=1.0, **settings)
+    fine = grow((60, 60, 60), spacing=0.5, **settings)[::2, ::2, ::2]
+    coarse = grow((30, 30, 30), spacing=1.0, **settings)
     assert (fine != coarse).mean() < 0.01
     settings["roughness"] = 0.3
-    fine = grown((60, 60, 60), spacing=0.5, **settings)[::2, ::2, ::2]
-    assert (fine != grown((30, 30, 30), spacing=1.0, **settings)).mean() < 0.05
+    fine = grow((60, 60, 60), spacing=0.5, **settings)[::2, ::2, ::2]
+    assert (fine != grow((30, 30, 30), spacing=1.0, **settings)).mean() < 0.05
 
 
 @settings(max_examples=12)
@@ -229,7 +230,7 @@ def test_nothing_shows_where_a_turn_ends():
 
 
 def test_a_picture_is_a_material_of_its_own():
-    picture = grown((200, 200), distance=14.0, separation=2.0)
+    picture = grow((200, 200), distance=14.0, separation=2.0)
     assert picture.shape == (200, 200)
     _, count = ndimage.label(picture)
     assert count == pytest.approx((200 / 14) ** 2, rel=0.3), "a cell for every bubble"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from trabecula.core.errors import InputError
-from trabecula.synth.bubbles.particles import grown
+from trabecula.synth.bubbles.particles import grow_particles
 
 
 def seeds_in(shape, count, number=0):
@@ -12,8 +12,8 @@ def seeds_in(shape, count, number=0):
     return np.unique(np.stack([rng.integers(0, side, count) for side in shape], 1), axis=0)
 
 
-def bodies(air):
-    """Connected parts (corners count) of a picture or volume, as sets of places."""
+def components(air):
+    """Return the connected components (corners count) of a picture or volume, as sets of places."""
     left, parts = {tuple(place) for place in np.argwhere(air)}, []
     while left:
         part, edge = set(), [left.pop()]
@@ -28,7 +28,7 @@ def bodies(air):
 
 
 def test_one_particle_without_a_flow_becomes_a_square_a_round():
-    air = grown(np.array([[20, 20]]), (41, 41), seed=1, rounds=6).air
+    air = grow_particles(np.array([[20, 20]]), (41, 41), seed=1, rounds=6).air
     assert np.array_equal(np.argwhere(air).min(0), (15, 15))
     assert air.sum() == 11**2
 
@@ -36,8 +36,8 @@ def test_one_particle_without_a_flow_becomes_a_square_a_round():
 @pytest.mark.parametrize("separation", [1, 2, 4])
 @pytest.mark.parametrize("shape", [(60, 50), (20, 24, 22)])
 def test_particles_stay_apart(shape, separation):
-    air = grown(seeds_in(shape, 12), shape, seed=3, separation=separation).air
-    parts = bodies(air)
+    air = grow_particles(seeds_in(shape, 12), shape, seed=3, separation=separation).air
+    parts = components(air)
     assert 5 <= len(parts) <= 12
     places = [np.array(sorted(part)) for part in parts]
     for i, one in enumerate(places):
@@ -51,9 +51,9 @@ def test_full_means_that_nothing_more_fits():
     none.
     """
     shape = (50, 50)
-    result = grown(seeds_in(shape, 9), shape, seed=3, separation=2)
+    result = grow_particles(seeds_in(shape, 9), shape, seed=3, separation=2)
     assert result.alive == 0
-    parts = [np.array(sorted(part)) for part in bodies(result.air)]
+    parts = [np.array(sorted(part)) for part in components(result.air)]
     for place in np.argwhere(~result.air):
         near = sum(((part - place) ** 2).sum(1).min() < 9 for part in parts)
         assert near >= 2
@@ -61,28 +61,30 @@ def test_full_means_that_nothing_more_fits():
 
 def test_neither_seed_nor_order_of_places_is_lost():
     places = seeds_in((40, 40), 10)
-    first, again, other = (grown(places, (40, 40), seed=n, rounds=9).air for n in (1, 1, 2))
+    first, again, other = (
+        grow_particles(places, (40, 40), seed=n, rounds=9).air for n in (1, 1, 2)
+    )
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
 
 
 def test_the_target_is_met_to_the_voxel_or_the_most_is_told():
     places = seeds_in((40, 44), 12)
-    assert grown(places, (40, 44), seed=1, porosity=0.3).air.sum() == round(0.3 * 40 * 44)
+    assert grow_particles(places, (40, 44), seed=1, porosity=0.3).air.sum() == round(0.3 * 40 * 44)
     with pytest.raises(InputError, match=r"fill 0\.\d+ at most"):
-        grown(places, (40, 44), seed=1, separation=4, porosity=0.9)
+        grow_particles(places, (40, 44), seed=1, separation=4, porosity=0.9)
 
 
 def test_room_is_kept_to_and_shares_count_in_it():
     room = np.hypot(*np.mgrid[-20:20, -20:20]) < 17
-    result = grown(seeds_in(room.shape, 20), room.shape, seed=2, room=room, porosity=0.4)
+    result = grow_particles(seeds_in(room.shape, 20), room.shape, seed=2, room=room, porosity=0.4)
     assert not (result.air & ~room).any()
     assert result.air.sum() == round(0.4 * room.sum())
 
 
 def test_a_periodic_field_goes_round():
     one = np.array([[0, 0]])
-    air = grown(one, (20, 20), seed=1, periodic=(True, True), rounds=3).air
+    air = grow_particles(one, (20, 20), seed=1, periodic=(True, True), rounds=3).air
     assert np.array_equal(air, np.roll(np.pad(np.ones((5, 5), bool), (0, 15)), (-2, -2), (0, 1)))
 
 
@@ -93,7 +95,7 @@ def test_particles_follow_a_flow_with_little_randomness(angle):
     flow = np.broadcast_to(
         np.rint(127 * np.array([np.sin(angle), np.cos(angle)])).astype(np.int8), (*shape, 2)
     )
-    air = grown(
+    air = grow_particles(
         np.array([[20, 20]]), shape, seed=4, directions=flow, randomness=0.0, rounds=200
     ).air
     end = np.argwhere(air).max(0) - 20
@@ -105,7 +107,7 @@ def test_randomness_widens():
     flow = np.broadcast_to(np.array([0, 127], np.int8), (81, 161, 2))
     widths = []
     for randomness in (0.02, 0.1, 1.0):
-        air = grown(
+        air = grow_particles(
             np.array([[40, 80]]),
             (81, 161),
             seed=4,

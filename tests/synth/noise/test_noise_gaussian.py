@@ -18,13 +18,12 @@ from trabecula.errors import InputError, RequestError
 from trabecula.measure.correlation import two_point
 from trabecula.synth.noise.config import NoiseConfig
 from trabecula.synth.noise.covariance import (
-    averaged,
     counts_by_offset,
-    fitted_filter,
+    fit_filter,
     joint_probability,
+    radial_mean,
 )
-from trabecula.synth.noise.gaussian import whole
-from trabecula.synth.noise.kernels import white_plane
+from trabecula.synth.noise.gaussian import integer_filter, white_plane
 
 
 def exponential(shape, *, scale, seed, fraction=0.5, cover=40):
@@ -45,7 +44,7 @@ def relative(made, wanted):
 
 @given(fraction=st.floats(0.02, 0.98), covariance=st.floats(-0.95, 0.99))
 def test_the_joint_probability_is_the_bivariate_normals(fraction, covariance):
-    """Oracle: SciPy's bivariate normal distribution."""
+    """Compare with SciPy's bivariate normal distribution."""
     angle, table = joint_probability(fraction)
     t = norm.isf(fraction)
     wanted = multivariate_normal.cdf([-t, -t], cov=[[1, covariance], [covariance, 1]])
@@ -81,7 +80,7 @@ def test_the_filter_has_the_covariance_it_was_made_for():
     covariance = np.exp(-square / (2 * 2.5**2))
     angle, table = joint_probability(0.3)
     two_points = np.interp(np.arcsin(np.minimum(covariance, 1)), angle, table)
-    made = fitted_filter(two_points, 0.3, corrections=20)
+    made = fit_filter(two_points, 0.3, corrections=20)
     assert made.clipped < 0.01
     found = np.fft.fftshift(np.fft.ifftn(np.abs(np.fft.fftn(made.values)) ** 2).real)
     assert np.abs(found - covariance).max() < 0.01
@@ -111,12 +110,12 @@ def test_white_noise_is_standard_normal_and_by_coordinate():
 
 
 def test_a_voxel_is_the_sum_over_the_filter_to_the_last_bit():
-    """Oracle: the convolution, in whole numbers, voxel by voxel."""
+    """Compare with the convolution, in whole numbers, voxel by voxel."""
     model = tb.method("noise", reach=4).fit(
         exponential((24, 24, 24), scale=2, seed=9, fraction=0.4)
     )
     values = model.generate((9, 8, 10), seed=1).values
-    weights = whole(model.filters[0]).astype(np.int64)
+    weights = integer_filter(model.filters[0]).astype(np.int64)
     noise = np.stack([white((16, 18), z=z, corner=(-4, -4)) for z in range(-4, 13)]).astype(
         np.int64
     )
@@ -296,14 +295,14 @@ def test_a_thin_exemplar_is_refused(shape):
 def test_averaged_keeps_what_depends_on_length_alone_and_forgets_direction():
     z, y, x = (part.astype(float) for part in np.ogrid[-6:7, -6:7, -6:7])
     length = np.sqrt(z**2 + y**2 + x**2)
-    found = averaged(0.5 - length * 0.01, np.ones(length.shape), (6, 6, 6))
+    found = radial_mean(0.5 - length * 0.01, np.ones(length.shape), (6, 6, 6))
     near = length < 10  # beyond the mean length of the last bin S2 stays as it is there
     np.testing.assert_allclose(found[near], (0.5 - length * 0.01)[near], atol=1e-9)
-    plane = averaged((0.5 - length * 0.01)[6:7] * 3, np.full((1, 13, 13), 3.0), (4, 4, 4))
+    plane = radial_mean((0.5 - length * 0.01)[6:7] * 3, np.full((1, 13, 13), 3.0), (4, 4, 4))
     assert plane.shape == (9, 9, 9) and plane[4, 4, 6] == pytest.approx(0.48) == pytest.approx(
         plane[6, 4, 4]
     )
-    leaning = averaged(np.broadcast_to(x, (13, 13, 13)) ** 2, np.ones((13, 13, 13)), (6, 6, 6))
+    leaning = radial_mean(np.broadcast_to(x, (13, 13, 13)) ** 2, np.ones((13, 13, 13)), (6, 6, 6))
     np.testing.assert_allclose(leaning, leaning.transpose(2, 0, 1))
 
 

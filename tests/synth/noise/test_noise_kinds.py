@@ -15,8 +15,8 @@ from trabecula.errors import InputError, RequestError, UnknownNameError
 from trabecula.measure.correlation import two_point
 from trabecula.synth.noise import pattern
 from trabecula.synth.noise.config import COVARIANCES, KINDS, WALLED, NoiseConfig
-from trabecula.synth.noise.covariance_fit import _NAMED
-from trabecula.synth.noise.lattice import CELL, Grid, grid_of, points_of
+from trabecula.synth.noise.covariance import _NAMED
+from trabecula.synth.noise.lattice import CELL, VoxelGrid, grid_of, points_of
 from trabecula.synth.noise.periodic_domain import Domain
 
 SHAPE = (34, 30, 37)
@@ -24,7 +24,7 @@ LATTICES = sorted(pattern.PATTERNS)
 
 
 def noise(kind, *, spacing=1.0, **settings):
-    """A model without an exemplar, its cells six voxels wide."""
+    """Return a model without an exemplar, its cells six voxels wide."""
     length = {} if kind == "white" else {"length": 6 * spacing}
     return tb.method("noise", **{"kind": kind, **length, **settings}).fit(
         spacing=spacing, unit="um"
@@ -32,10 +32,10 @@ def noise(kind, *, spacing=1.0, **settings):
 
 
 def field(kind, shape, *, edge=8.0, spacing=1.0, seed=3, **settings):
-    """The numbers that are cut, of a volume or a picture."""
+    """Return the numbers of a volume or a picture before the cut."""
     flat = len(shape) == 2
     config = NoiseConfig(kind=kind, **settings)
-    lattice = pattern.Lattice(config, (edge,) * 3, (spacing,) * 3, flat=flat)
+    lattice = pattern.LatticePattern(config, (edge,) * 3, (spacing,) * 3, flat=flat)
     lifted = (1,) * (3 - len(shape)) + tuple(shape)
     found = np.empty(lifted, np.int32)
 
@@ -102,7 +102,7 @@ def test_neither_bricks_nor_threads_matter(kind, monkeypatch):
     level = model._field(False).level(0, 0.5)
     monkeypatch.setattr(pattern, "_BRICK", (5, 7, 11))
     monkeypatch.setattr("trabecula.synth.noise.gaussian.PIECE", 13)
-    pattern.tried_level.cache_clear()
+    pattern.trial_level.cache_clear()
     again = noise(kind)
     assert again._field(False).level(0, 0.5) == level
     assert np.array_equal(again.generate(SHAPE, seed=1).values, whole)
@@ -121,7 +121,7 @@ GOLDEN = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_machine_makes_these_voxels(kind):
-    """Frozen: they change with the arithmetic, which has to be the same everywhere."""
+    """Compare with frozen voxels: the arithmetic has to be the same everywhere."""
     assert (
         digest(noise(kind, porosity=0.6).generate((20, 22, 24), seed=7).values)[:16] == GOLDEN[kind]
     )
@@ -181,13 +181,13 @@ def cells_of(grid, *, seed, margin, jitter=1.0):
     return points, places.reshape(-1, 3)
 
 
-def small_grid(shape, edge=8.0) -> Grid:
+def small_grid(shape, edge=8.0) -> VoxelGrid:
     domain = Domain(shape, (False,) * 3, 3, shape[0] == 1)
     return grid_of(domain, [(0, side) for side in shape], (1 / edge,) * 3, (edge,) * 3)
 
 
 def test_worley_is_the_distance_to_the_nearest_point():
-    """Oracle: SciPy's tree of the same points."""
+    """Compare with SciPy's tree of the same points."""
     points, places = cells_of(small_grid((24, 20, 28)), seed=3, margin=3)
     distance, _ = cKDTree(points.place).query(places)
     assert np.array_equal(field("worley", (24, 20, 28)).ravel(), np.rint(distance**2))
@@ -195,7 +195,7 @@ def test_worley_is_the_distance_to_the_nearest_point():
 
 @pytest.mark.parametrize("shape", [(18, 15, 20), (40, 44)])
 def test_walls_are_planes_half_way_between_points(shape):
-    """Oracle: the planes between a voxel's nearest point and all others, one by one."""
+    """Compare with the planes between a voxel's nearest point and all others, one by one."""
     lifted = (1,) * (3 - len(shape)) + shape
     points, places = cells_of(small_grid(lifted), seed=3, margin=4)
     squares = ((places[:, None] - points.place) ** 2).sum(-1)
@@ -314,7 +314,7 @@ def test_the_forecast_of_memory_holds(kind):
         model.generate(16, seed=0)
         plan = model.plan(request)
         again = noise(kind)
-        pattern.tried_level.cache_clear()  # its level is still to be found
+        pattern.trial_level.cache_clear()  # its level is still to be found
         tracemalloc.start()
         again.generate(request)
         peak = tracemalloc.get_traced_memory()[1]

@@ -1,12 +1,18 @@
 """Growing bubbles (Baravalle et al. 2016). See README.md in this folder."""
 
 from trabecula.synth.api.capabilities import Capabilities
-from trabecula.synth.bubbles.flow.presets import PRESETS
+from trabecula.synth.bubbles.presets import PRESETS
 
 CAPABILITIES = Capabilities(
     name="bubbles",
-    summary="bubbles that grow, keep a wall apart and follow a flow: foams, breads, sponges in any shape, from settings alone",
-    paper="Baravalle, Scandolo, Delrieux, García Bauza, Eisemann (2016), Realistic modeling of porous materials",
+    summary=(
+        "bubbles that grow, keep a wall apart and follow a flow: foams, breads, sponges in any "
+        "shape, from settings alone"
+    ),
+    paper=(
+        "Baravalle, Scandolo, Delrieux, García Bauza, Eisemann (2016), Realistic modeling of "
+        "porous materials"
+    ),
     learns_from=("volume", "picture", "settings"),
     makes=("volume", "picture"),
     kinds=("labels",),

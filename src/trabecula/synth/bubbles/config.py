@@ -8,7 +8,7 @@ from typing import Any
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
 from trabecula.synth.bubbles.flow import FlowConfig
-from trabecula.synth.bubbles.flow.presets import PRESETS
+from trabecula.synth.bubbles.presets import PRESETS
 
 GROWTHS = ("fronts", "particles")
 
@@ -32,8 +32,9 @@ _OPTIONAL = {
 
 @dataclass(frozen=True)
 class BubblesConfig(FlowConfig):
-    """Settings of `bubbles`. L stands for the mean distance between bubbles: as many of them as
-    cubes of edge L.
+    """Settings of `bubbles`.
+
+    L stands for the mean distance between bubbles: there are as many of them as cubes of edge L.
     """
 
     density: float | None = None
@@ -60,7 +61,7 @@ class BubblesConfig(FlowConfig):
 
     regularity: float = 0.5
     """How evenly bubbles are spread, 0 .. 1: 0 is chance (a Poisson process), 1 has one in every
-    cube of edge L, nudged apart.
+    cube of edge L, repelled from each other.
     """
 
     randomness: float = 1.0
@@ -82,8 +83,7 @@ class BubblesConfig(FlowConfig):
     """
 
     time: float | None = None
-    """When growth stops: the radius that a bubble of ordinary size has reached where nothing is in
-    its way, in units of L,
+    """When growth stops: the radius of a free bubble of ordinary size by then, in units of L,
     0.01 .. 10. Default: at fullness, when all bubbles have met others everywhere."""
 
     porosity: float | None = None
@@ -95,9 +95,9 @@ class BubblesConfig(FlowConfig):
     paper's own rounds of claims on the lattice, for volumes that are made whole."""
 
     trials: int = 100
-    """Settings that are tried, at most, to come near an exemplar, 0 .. 1000. What differs from its
-    default is kept, all else is found. 0: nothing is looked for, the exemplar tells voxels and
-    phases alone."""
+    """Settings that are tried, at most, to come near an exemplar, 0 .. 1000. Settings at
+    their defaults are found, the others stay. 0: no search; the exemplar gives voxels and phases
+    alone."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -116,10 +116,11 @@ class BubblesConfig(FlowConfig):
                 )
         if self.time is not None and self.porosity is not None:
             raise InputError(
-                f"time={self.time} and porosity={self.porosity} both say when growth stops: give one of them"
+                f"time={self.time} and porosity={self.porosity} both say when growth stops: give "
+                "one of them"
             )
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
-        """Settings that make a preset."""
+        """Return the settings of a preset."""
         return dict(PRESETS[name])

@@ -1,5 +1,6 @@
-"""The settings of a run as lengths in voxels and as whole numbers that no processor rounds
-otherwise.
+"""Law of growth: settings as lengths in voxels, and as whole numbers.
+
+Whole numbers, or whole parts, are rounded alike by every processor.
 """
 
 from __future__ import annotations
@@ -16,17 +17,15 @@ from trabecula.synth.bubbles.config import BubblesConfig
 from trabecula.synth.bubbles.nucleation import FINE
 
 LATEST = {3: 1.6, 2: 2.2}
-"""When growth ends at the latest, in units of L, by dimensions: then one point in 3 (in 4) million
-is left that no bubble has reached."""
+"""Latest end of growth, in units of L, by dimensions: bubbles have then reached all but one
+point in 3 (in 4) million."""
 
-NUDGES = 2
+REPULSIONS = 2
 PUSH = 0.25
-"""How often bubbles nudge each other apart, and how far at most, in units of L."""
+"""Rounds of repulsion, and the farthest move of a round in units of L."""
 
-SWALLOWED = 0.35
-"""Radius, in units of L, below which what a faster bubble leaves of a slower one is not worth a
-wall.
-"""
+ABSORBED = 0.35
+"""Radius, in units of L, below which a faster bubble absorbs the rest of a slower one."""
 
 _FARTHEST = 6.0  # L that a bubble reaches from where it starts, at most
 _CUT = 2.5  # standard deviations at which the law of sizes ends
@@ -36,7 +35,7 @@ _EXACT = 1 << 20
 
 @dataclass(frozen=True)
 class Law:
-    """What decides how bubbles grow. Lengths are voxels.
+    """Speeds, walls and lengths of growth. Lengths are voxels.
 
     Attributes
     ----------
@@ -72,12 +71,12 @@ class Law:
     ndim: int
 
     def numbers(self) -> np.ndarray:
-        """What kernels read of it (see `sweep`)."""
+        """Return the numbers that kernels read (see `sweep`)."""
         return np.array([self.latest, self.wall, self.reach, self.across, self.along])
 
 
 def law_of(config: BubblesConfig, spacing: float, ndim: int) -> Law:
-    """The law of a volume (3) or picture (2) of this spacing.
+    """Return the law of a volume (3) or picture (2) of this spacing.
 
     Raises
     ------
@@ -88,22 +87,22 @@ def law_of(config: BubblesConfig, spacing: float, ndim: int) -> Law:
     if apart < 1:
         each = f"{'cubic' if ndim == 3 else 'square'} unit"
         raise InputError(
-            f"density={config.density:g} per {each} is {apart**-ndim:.3g} bubbles a voxel of edge {spacing:g}: give a lower "
-            "density, or a finer spacing"
+            f"density={config.density:g} per {each} is {apart**-ndim:.3g} bubbles a voxel of edge "
+            f"{spacing:g}: give a lower density, or a finer spacing"
         )
     apart = round(apart * FINE) / FINE
     wall = config.thickness * apart if config.separation is None else config.separation / spacing
     grain = round(config.grain * apart * FINE) / FINE
     shift = 0.35 * config.roughness * grain
-    across = _rounded(config.randomness ** (-2 / ndim))
-    along = _rounded(config.randomness ** (2 - 2 / ndim))
+    across = _round_binary(config.randomness ** (-2 / ndim))
+    along = _round_binary(config.randomness ** (2 - 2 / ndim))
     brakes = _brakes(config.spread, ndim)
     latest = LATEST[ndim] if config.time is None else min(config.time, LATEST[ndim])
     fastest = 1 / (brakes.min() * math.sqrt(along))
     reach = (
         apart * min(latest * fastest, _FARTHEST)
         + math.sqrt(ndim) * shift
-        + NUDGES * PUSH * config.regularity * apart
+        + REPULSIONS * PUSH * config.regularity * apart
         + 1
     )
     merging = round(config.coalescence * 2**32)
@@ -124,15 +123,16 @@ def law_of(config: BubblesConfig, spacing: float, ndim: int) -> Law:
 
 
 def distance_of(config: BubblesConfig, spacing: float, ndim: int) -> float:
-    """L in voxels."""
+    """Return L in voxels."""
     if config.density is None:
         return config.distance
     return float(config.density ** (-1 / ndim) / spacing)
 
 
 def counts_of(mean: float, regularity: float) -> np.ndarray:
-    """Thresholds (uint64) that split 32 random bits into counts 0, 1, ...: Poisson's law, mixed
-    with that of least scatter.
+    """Return thresholds (uint64) that split 32 random bits into counts 0, 1, ...
+
+    They mix the Poisson distribution with that of least variance.
     """
     whole = math.floor(mean)
     chance, below, even, thresholds = math.exp(-mean), 0.0, 0.0, [0]
@@ -147,7 +147,7 @@ def counts_of(mean: float, regularity: float) -> np.ndarray:
 
 @cache
 def _deviations() -> tuple[float, ...]:
-    """The middles of equal parts of the standard normal law, cut off."""
+    """Return the middles of equal parts of the standard normal distribution, truncated."""
     ends = [NormalDist().cdf(end) for end in (-_CUT, _CUT)]
     return tuple(
         NormalDist().inv_cdf(ends[0] + (ends[1] - ends[0]) * (i + 0.5) / _SIZES)
@@ -157,8 +157,9 @@ def _deviations() -> tuple[float, ...]:
 
 @lru_cache(maxsize=64)
 def _brakes(spread: float, ndim: int) -> np.ndarray:
-    """1 / v of a lognormal v, cut off, whose mean v^ndim is 1: bubbles fill as much as those of v =
-    1.
+    """Return 1 / v of a truncated lognormal v with mean v^ndim = 1.
+
+    So bubbles fill as much as those of v = 1.
     """
     speeds = [math.exp(spread * deviation) for deviation in _deviations()]
     mean = (math.fsum(speed**ndim for speed in speeds) / _SIZES) ** (1 / ndim)
@@ -166,5 +167,6 @@ def _brakes(spread: float, ndim: int) -> np.ndarray:
     return 65536.0 / whole
 
 
-def _rounded(value: float) -> float:
+def _round_binary(value: float) -> float:
+    """Round to 20 binary places."""
     return round(value * _EXACT) / _EXACT

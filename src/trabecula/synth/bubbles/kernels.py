@@ -1,16 +1,16 @@
-"""Arrival of the bubbles at voxels: which come into question, when the first one comes, and where a
-wall stays.
+"""Kernels of one block: the candidate bubbles, the first arrival at its voxels, and the walls.
 
-    x       a voxel; s, v   where a bubble starts, how fast it grows; u = x - s
-    t(x)    direction of the flow, |t| <= 1; q = (t(x) + t(s)) / 2, with the sign of t(x) that makes
-    it longer T       arrival: v^2 T^2 = |u|^2 (1 + (c - 1) |q|^2) - (c - a) (q.u)^2, where a flow
-    of randomness r makes bubbles grow
-            r^(1/3) times as fast across it (c = r^(-2/3)) and r^(-2/3) times as fast along it (a =
-            r^(4/3))
+    x       a voxel
+    s, v    start and speed of a bubble; u = x - s
+    t(x)    direction of the flow, |t| <= 1
+    q       (t(x) + t(s)) / 2, with the sign of t(x) that makes it longer
+    T       arrival: v^2 T^2 = |u|^2 (1 + (c - 1) |q|^2) - (c - a) (q.u)^2, where a flow of
+            randomness r makes bubbles grow r^(1/3) times as fast across it (c = r^(-2/3)) and
+            r^(-2/3) times as fast along it (a = r^(4/3))
 
 T^2 is found at nodes, four voxels apart; between the nodes of a block it is trilinear with the bend
-of a quadric, which is exact for a straight flow. Blocks lie at multiples of four voxels, and what
-is done for one depends on nothing else, so that every box of the material has the same voxels. A
+of a quadric, which is exact for a straight flow. Blocks lie at multiples of four voxels, and the
+result of one depends on nothing else, so that every box of the material has the same voxels. A
 picture is a volume of one plane, in which z is 0.
 
 The voxels of a block are counted along x slowest, then z, then y: number x * rows + z * 4 + y, of
@@ -27,15 +27,13 @@ BLOCK = 4
 """Voxels between two nodes."""
 
 SUPER = 4
-"""Blocks along an edge of a cube, what shares one search for bubbles."""
+"""Blocks along an edge of a cube. The blocks of a cube share one search for bubbles."""
 
 MOST = 512
-"""Bubbles that a block looks at, at most: those that come into question at two voxels from bubble
-to bubble.
-"""
+"""Candidate bubbles of a block, at most: those at two voxels from bubble to bubble."""
 
 HALF = 1.0 / 254.0
-"""Makes 1/2 of a direction of length 127: two of them have a mean."""
+"""Factor that scales a direction of length 127 to 1/2, so that the sum of two is their mean."""
 
 NEVER = np.float32(np.inf)
 _FULL = np.float32(1.0)
@@ -44,14 +42,13 @@ _STEP = np.float32(1.0 / BLOCK)
 
 @inline
 def _quadric(i, around, n, places, flows, across, along):
-    """Of bubble i at place n (z, y, x, and the flow there of length 1/2): T^2 v^2, |u|^2, and the
-    squares of q.
+    """Return T^2 v^2 of bubble i at place n, |u|^2, and the squares of q.
+
+    A place is z, y, x, and the flow there of length 1/2.
     """
-    uz, uy, ux = (
-        around[n, 0] - places[i, 0],
-        around[n, 1] - places[i, 1],
-        around[n, 2] - places[i, 2],
-    )
+    uz = around[n, 0] - places[i, 0]
+    uy = around[n, 1] - places[i, 1]
+    ux = around[n, 2] - places[i, 2]
     square = uz * uz + uy * uy + ux * ux
     if len(flows) == 0:
         return square, square, 0.0, 0.0, 0.0
@@ -66,10 +63,10 @@ def _quadric(i, around, n, places, flows, across, along):
 
 @inline
 def _set_node(around, n, z, y, x, shifts, flow, origins):
-    """Set row n to where node (z, y, x) lies once it is shifted, and half of the flow there."""
+    """Set row n to the place of node (z, y, x) once it is shifted, and half of the flow there."""
     around[n, 0], around[n, 1], around[n, 2] = BLOCK * z, BLOCK * y, BLOCK * x
     if len(shifts) > 0:
-        # Unsigned: an index that may be negative is looked at twice.
+        # Unsigned, since Numba checks an index that may be negative for wraparound.
         i, j, k = np.uint64(z - origins[0]), np.uint64(y - origins[1]), np.uint64(x - origins[2])
         around[n, 0] += shifts[i, j, k, 0]
         around[n, 1] += shifts[i, j, k, 1]
@@ -82,10 +79,10 @@ def _set_node(around, n, z, y, x, shifts, flow, origins):
 
 @inline
 def set_around(around, z, y, x, side, flat, shifts, flow, origins):
-    """Of a cube of `side` blocks from node (z, y, x) on: the places and flows at its corners (0 ..
-    7) and its middle (8).
+    """Set places and flows at the corners (0 .. 7) and middle (8) of a cube of `side` blocks.
 
-    Behind the middle's: how far, at most, the corners lie from it and their flows from its own.
+    The cube starts at node (z, y, x). Behind the middle's: the largest distance of a corner from
+    it, and of a corner's flow from its own.
     """
     deep = 0 if flat else side
     for n in range(8):
@@ -98,28 +95,23 @@ def set_around(around, z, y, x, side, flat, shifts, flow, origins):
         around[8, i] = 0.125 * total
     far, bend = 0.0, 0.0
     for n in range(8):
-        dz, dy, dx = (
-            around[n, 0] - around[8, 0],
-            around[n, 1] - around[8, 1],
-            around[n, 2] - around[8, 2],
-        )
+        dz = around[n, 0] - around[8, 0]
+        dy = around[n, 1] - around[8, 1]
+        dx = around[n, 2] - around[8, 2]
         far = max(far, dz * dz + dy * dy + dx * dx)
         if len(flow) > 0:
-            dz, dy, dx = (
-                around[n, 3] - around[8, 3],
-                around[n, 4] - around[8, 4],
-                around[n, 5] - around[8, 5],
-            )
+            dz = around[n, 3] - around[8, 3]
+            dy = around[n, 4] - around[8, 4]
+            dx = around[n, 5] - around[8, 5]
             bend = max(bend, dz * dz + dy * dy + dx * dx)
     around[8, 6], around[8, 7] = np.sqrt(far), np.sqrt(bend)
 
 
 @inline
 def keep_near(found, count, kept, around, places, brakes, flows, law, times, slacks):
-    """Keep those of the first `count` that may come first somewhere about the middle, or leave a
-    wall; returns how many.
+    """Keep those of the first `count` that may come first about the middle, or leave a wall.
 
-    The one that comes first there is put first.
+    Returns their number. The one that comes first in the middle is put first.
     """
     across, along = law[3], law[4]
     widest = np.sqrt(across)
@@ -152,9 +144,7 @@ def keep_near(found, count, kept, around, places, brakes, flows, law, times, sla
 
 @inline
 def gather(found, node, flat, starts, places, brakes, first, cells, edges, law, ends):
-    """Bubbles within reach of the cube from a node on, in the order of their cells; returns how
-    many.
-    """
+    """Gather the bubbles within reach of the cube from a node on, by cell; returns their number."""
     reach, soonest = law[2], np.sqrt(law[4]) / law[0]
     for axis in range(3):
         low, high = BLOCK * node[axis] - reach, BLOCK * (node[axis] + SUPER) + reach
@@ -180,9 +170,7 @@ def gather(found, node, flat, starts, places, brakes, first, cells, edges, law, 
 
 @inline
 def _rows(at, low, rise, flat, bz, by):
-    """Of every row of a block, T^2 at its first voxel and how it rises along x, from the values at
-    the corners.
-    """
+    """Set T^2 at the first voxel of every row of a block, and its rise along x."""
     for n in range(4 if flat else 16):
         z, y = np.float32(n >> 2) * _STEP, np.float32(n & 3) * _STEP
         bend = bz * (z - z * z) + by * (y - y * y)
@@ -194,9 +182,7 @@ def _rows(at, low, rise, flat, bz, by):
 
 @inline
 def _slope(at, slopes, m):
-    """Set how T^2 rises along z, y, x in the middle of a block, from its corners; returns how much
-    in all.
-    """
+    """Set the slope of T^2 along z, y, x in the middle of a block; returns its length."""
     z = 0.25 * _STEP * (at[4] + at[5] + at[6] + at[7] - at[0] - at[1] - at[2] - at[3])
     y = 0.25 * _STEP * (at[2] + at[3] + at[6] + at[7] - at[0] - at[1] - at[4] - at[5])
     x = 0.25 * _STEP * (at[1] + at[3] + at[5] + at[7] - at[0] - at[2] - at[4] - at[6])
@@ -208,11 +194,10 @@ def _slope(at, slopes, m):
 def set_forms(
     forms, slopes, at, ahead, low, rise, kept, count, around, flat, places, brakes, flows, law
 ):
-    """T^2 of bubbles at the voxels of a block, (bubble, voxel) float32, and its slopes in the
-    middle.
+    """Set T^2 of bubbles at the voxels of a block, and its slopes in the middle.
 
-    Of the first `count` kept, those stay that matter beside the first one, as the corners tell;
-    returns how many.
+    `forms` are (bubble, voxel) float32. Of the first `count` kept, those stay that matter beside
+    the first one, judged at the corners; returns their number.
     """
     across, less, rows = law[3], law[3] - law[4], 4 if flat else 16
     left, steep = 0, 0.0
@@ -230,7 +215,7 @@ def set_forms(
         rising = _slope(at, slopes, left)
         if m == 0:
             steep = rising
-        # Half a wall, and what T^2 bends between the corners.
+        # Half a wall, and the bend of T^2 between the corners.
         elif behind > 0.5 * law[1] * (rising + 1.5 * steep) + 0.75 * BLOCK * BLOCK * across * slow:
             continue
         kept[left] = i
@@ -248,8 +233,8 @@ def set_forms(
 
 
 @inline
-def _merged(one, two, merging):
-    """Whether two bubbles that meet have no wall."""
+def _merges(one, two, merging):
+    """Return whether two bubbles that meet have no wall."""
     return (
         (np.uint64(one) ^ np.uint64(two)) * np.uint64(2654435761) & np.uint64(0xFFFFFFFF)
     ) < merging
@@ -257,11 +242,10 @@ def _merged(one, two, merging):
 
 @inline
 def set_arrivals(arrivals, walls, forms, slopes, kept, count, voxels, level, wall, names, merging):
-    """T^2 of the first bubble at the voxels of a block; NEVER later than `level`, and where a wall
-    stays.
+    """Set T^2 of the first bubble at the voxels of a block; NEVER beyond `level` and in walls.
 
-    |T_i^2 - T_j^2| over its slope is the distance to where bubbles i and j meet: a wall, where it
-    is below half of one.
+    |T_i^2 - T_j^2| over its slope is the distance to the plane where bubbles i and j meet: a wall,
+    where it is below half of one.
     """
     for v in range(voxels):
         arrivals[v], walls[v] = NEVER, _FULL
@@ -271,13 +255,11 @@ def set_arrivals(arrivals, walls, forms, slopes, kept, count, voxels, level, wal
             arrivals[v] = f if f < a else a
     for i in range(count):
         for j in range(i):
-            dz, dy, dx = (
-                slopes[i, 0] - slopes[j, 0],
-                slopes[i, 1] - slopes[j, 1],
-                slopes[i, 2] - slopes[j, 2],
-            )
+            dz = slopes[i, 0] - slopes[j, 0]
+            dy = slopes[i, 1] - slopes[j, 1]
+            dx = slopes[i, 2] - slopes[j, 2]
             near = np.float32(0.25 * wall * wall * (dz * dz + dy * dy + dx * dx))
-            if near > 0 and not _merged(names[kept[i]], names[kept[j]], merging):
+            if near > 0 and not _merges(names[kept[i]], names[kept[j]], merging):
                 for v in range(voxels):
                     f, g, w = forms[i, v], forms[j, v], walls[v]
                     first = f if f < g else g

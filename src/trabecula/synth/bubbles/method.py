@@ -1,6 +1,4 @@
-"""`bubbles`: where they start and how fast they grow is drawn by cell; what a voxel becomes is told
-from those around it.
-"""
+"""`bubbles`: starts and speeds are drawn by cell; the bubbles around a voxel decide it."""
 
 from __future__ import annotations
 
@@ -20,16 +18,16 @@ from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method, ModelState
 from trabecula.synth.api.windows import WindowModel
 from trabecula.synth.bubbles import CAPABILITIES
-from trabecula.synth.bubbles.calibrate import bytes_of_search, calibrated
+from trabecula.synth.bubbles.calibrate import calibrate
 from trabecula.synth.bubbles.config import BubblesConfig
+from trabecula.synth.bubbles.fit_objective import bytes_of_search
 from trabecula.synth.bubbles.flow import flow_of
-from trabecula.synth.bubbles.flow.forecast import bytes_of_flow
-from trabecula.synth.bubbles.forecast import bytes_of_box, bytes_of_level
-from trabecula.synth.bubbles.growth import Growth
+from trabecula.synth.bubbles.flow.field import bytes_of_flow
+from trabecula.synth.bubbles.growth import Growth, bytes_of_box
 from trabecula.synth.bubbles.growth_law import Law, distance_of, law_of
 from trabecula.synth.bubbles.kernels import BLOCK
-from trabecula.synth.bubbles.particle_rounds import bytes_of_particles, grown_whole
-from trabecula.synth.bubbles.porosity_level import Arrivals, arrivals_of
+from trabecula.synth.bubbles.particles import bytes_of_particles, grow_request
+from trabecula.synth.bubbles.porosity_level import Arrivals, arrivals_of, bytes_of_level
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _LEAST = 8  # voxels along an axis of the exemplar
@@ -58,13 +56,14 @@ class Bubbles(Method):
         if len(exemplar.phases) != 2:
             names = ", ".join(exemplar.phases[label] for label in present)
             raise InputError(
-                f"the exemplar is of {names}: bubbles and what is between them are two phases, name two"
+                f"the exemplar is of {names}: bubbles and what is between them are two phases, "
+                "name two"
             )
         if min(exemplar.shape) < _LEAST:
             raise InputError(
                 f"the exemplar is {exemplar.shape}: give at least {_LEAST} voxels along every axis"
             )
-        found, report = calibrated(self.config, exemplar, BubblesModel)
+        found, report = calibrate(self.config, exemplar, BubblesModel)
         return BubblesModel(self.config, exemplars, found, report)
 
     def from_state(self, exemplars: Sequence[Any], state: ModelState) -> BubblesModel:
@@ -73,9 +72,10 @@ class Bubbles(Method):
 
 
 @dataclass
-class _Run:
-    """What boxes of one request have in common: the growth, and the arrivals in all of its box
-    (True), in its mask (False).
+class _RequestGrowth:
+    """Shared state of the boxes of one request: growth, and arrivals by extent.
+
+    The arrivals are those in all of its box (True), or in its mask (False).
     """
 
     request: Request
@@ -83,7 +83,7 @@ class _Run:
     arrivals: dict[bool, Arrivals] = field(default_factory=dict)
 
     def serves(self, request: Request) -> bool:
-        """Whether another request is of the same material."""
+        """Return whether another request is of the same material."""
         own = self.request
         alike = all(
             getattr(request, name) == getattr(own, name) for name in ("shape", "seed", "periodic")
@@ -92,14 +92,14 @@ class _Run:
 
 
 class BubblesModel(WindowModel):
-    """Settings with which bubbles grow, of voxels of a known size.
+    """Settings of growth for voxels of a known size.
 
     Attributes
     ----------
     found : BubblesConfig
-        Those with which they grow: as they were given, or found for an exemplar.
+        Settings of growth: as they were given, or found for an exemplar.
     report : dict
-        How they were found (`calibrate.calibrated`); empty where they were given.
+        Report of the search (`calibrate.calibrate`); empty where they were given.
     """
 
     capabilities = CAPABILITIES
@@ -116,7 +116,7 @@ class BubblesModel(WindowModel):
         super().__init__(config, exemplars)
         self.found = config if found is None else found
         self.report = dict(report or {})
-        self._last: _Run | None = None
+        self._last: _RequestGrowth | None = None
 
     def state(self) -> ModelState:
         """Return the settings that were found for an exemplar, and the report of the search."""
@@ -135,18 +135,19 @@ class BubblesModel(WindowModel):
         labels = np.empty([stop - start for start, stop in once], self.dtype)
         growth.fill(labels, [start for start, _ in once], self._phases(), level)
         if once != deep:
-            labels = labels[np.ix_(*map(_turning, deep, once, growth.periods))]
+            labels = labels[np.ix_(*map(_indices_in_turn, deep, once, growth.periods))]
         return labels[0] if len(box) == 2 else labels
 
     def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
         if self.found.growth == "fronts":
             return super().make(request)
-        wanted = self._wanted(request)
+        wanted = self._target_porosity(request)
         if np.ndim(wanted):
             raise RequestError(
-                "particles stop all at once: ask for one number as the porosity, or for growth='fronts'"
+                "particles stop all at once: ask for one number as the porosity, or for "
+                "growth='fronts'"
             )
-        made = grown_whole(self._growth(request), self.found, request, wanted)
+        made = grow_request(self._growth(request), self.found, request, wanted)
         void, solid = self._phases()
         values = np.where(made.air, np.uint8(void), np.uint8(solid))
         if request.mask is not None:
@@ -156,12 +157,13 @@ class BubblesModel(WindowModel):
     def _check_windows(self) -> None:
         if self.found.growth == "particles":
             raise RequestError(
-                "particles grow in rounds over the whole volume, no box of which is made alone: set growth to fronts"
+                "particles grow in rounds over the whole volume, no box of which is made alone: "
+                "set growth to fronts"
             )
 
-    def _run(self, request: Request) -> _Run:
+    def _run(self, request: Request) -> _RequestGrowth:
         if self._last is None or not self._last.serves(request):
-            self._last = _Run(request, self._growth(request))
+            self._last = _RequestGrowth(request, self._growth(request))
         return self._last
 
     def _growth(self, request: Request) -> Growth:
@@ -176,58 +178,64 @@ class BubblesModel(WindowModel):
         return Growth(law, request.seed, _deep(periods, 0), _deep(request.shape, 1), flow)
 
     def _lengths(self, ndim: int) -> tuple[tuple[float, ...], float]:
-        """The edges of a voxel, and the mean distance between bubbles in the same unit."""
+        """Return the edges of a voxel, and the mean distance between bubbles in the same unit."""
         spacing = self.facts[0].spacing[-ndim:]
         return spacing, distance_of(self.found, spacing[0], ndim) * spacing[0]
 
     def _law(self, ndim: int) -> Law:
         return law_of(self.found, self.facts[0].spacing[0], ndim)
 
-    def _level(self, run: _Run, request: Request, box: Box) -> Any:
-        """T^2 at which growth stops: a number, or a field of the box."""
-        wanted = self._wanted(request)
+    def _level(self, run: _RequestGrowth, request: Request, box: Box) -> Any:
+        """Return T^2 at the end of growth: a number, or a field of the box."""
+        wanted = self._target_porosity(request)
         if wanted is None:
             return np.float32(run.growth.law.latest**2)
-        # A porosity that was found for an exemplar is the material's, whatever form is cut of it;
-        # one that was asked for
-        # is the form's.
+        # A porosity found for an exemplar is that of the material, in any form cut of it; a
+        # porosity from settings or target is that of the form.
         mask = None if self.config.porosity is None and not request.target else request.mask
         whole = mask is None
         if whole not in run.arrivals:
             run.arrivals[whole] = arrivals_of(run.growth, _deep(request.shape, 1), mask)
         arrivals = run.arrivals[whole]
         if np.ndim(wanted):
-            wanted = _cut(wanted, mask, box)
+            wanted = _porosity_in_box(wanted, mask, box)
         if not arrivals.reaches(float(np.max(wanted))):
             raise RequestError(
-                f"porosity {np.max(wanted):.4g} is out of reach, {arrivals.most:.4g} is the most that walls and the time to "
-                "grow leave: ask for less (one number, or a field that is nowhere above it), or for thinner walls "
-                "(separation, thickness) or more coalescence"
+                f"porosity {np.max(wanted):.4g} is out of reach, {arrivals.most:.4g} is the most "
+                "that walls and the time to grow leave: ask for less (one number, or a field that "
+                "is nowhere above it), or for thinner walls (separation, thickness) or more "
+                "coalescence"
             )
         return arrivals.level(wanted)
 
-    def _wanted(self, request: Request) -> Any:
+    def _target_porosity(self, request: Request) -> Any:
         wanted = porosity_of(request.target)
         return self.found.porosity if wanted is None else wanted
 
     def _phases(self) -> tuple[int, int]:
-        """Labels of void and solid."""
+        """Return the labels of void and solid."""
         phases = self.facts[0].phases
         void = phases.index("void") if "void" in phases else 0
         return void, 1 - void
 
     def _check_target(self, request: Request) -> None:
-        """Any porosity that walls leave room for: how much that is the growth tells."""
+        """Accept any porosity: growth finds the most that walls leave room for."""
 
     def _check_request(self, request: Request) -> None:
         super()._check_request(request)
         self._law(len(request.shape))
 
     def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
-        law, wanted, masked = self._law(len(shape)), self._wanted(request), request.mask is not None
-        flows = self.found.randomness < 1 and self.found.directed(masked=masked)
+        law = self._law(len(shape))
+        wanted = self._target_porosity(request)
+        masked = request.mask is not None
+        flows = self.found.randomness < 1 and self.found.has_direction(masked=masked)
         box = bytes_of_box(law, _deep(shape, 1), flows=flows)
-        parts = {"interpreter and kernels": _PROCESS, "exemplar": self._held(), "bubbles": box}
+        parts = {
+            "interpreter and kernels": _PROCESS,
+            "exemplar": self._exemplar_bytes(),
+            "bubbles": box,
+        }
         if flows or masked:
             spacing, length = self._lengths(len(shape))
             parts["flow"] = bytes_of_flow(
@@ -241,17 +249,17 @@ class BubblesModel(WindowModel):
         levels = 28 * math.prod(shape) if np.ndim(wanted) else 0
         return {**parts, "level": max(kept + levels, held - box - math.prod(shape))}
 
-    def _held(self) -> int:
+    def _exemplar_bytes(self) -> int:
         return sum(image.values.nbytes for image in self.exemplars)
 
 
 def _deep(axes: Sequence[Any], first: Any) -> tuple[Any, ...]:
-    """What is said of y and x, with what is said of z of a picture."""
+    """Extend the values of a picture by the first one, for z."""
     return tuple(axes) if len(axes) == 3 else (first, *axes)
 
 
 def _first_turn(ends: tuple[int, int], period: int) -> tuple[int, int]:
-    """Where the voxels of a range lie in the first turn of an axis: a range that holds them."""
+    """Return a range within the first period of an axis that holds the voxels of a range."""
     start, stop = ends
     if not period:
         return ends
@@ -259,17 +267,18 @@ def _first_turn(ends: tuple[int, int], period: int) -> tuple[int, int]:
     return (start - lap, stop - lap) if stop - lap <= period else (0, period)
 
 
-def _turning(ends: tuple[int, int], once: tuple[int, int], period: int) -> np.ndarray:
-    """Where in the range `once` every voxel of a range is found."""
+def _indices_in_turn(ends: tuple[int, int], once: tuple[int, int], period: int) -> np.ndarray:
+    """Return the index within the range `once` of every voxel of a range."""
     voxels = np.arange(*ends)
     return (voxels % period if period else voxels) - once[0]
 
 
-def _cut(wanted: np.ndarray, mask: np.ndarray | None, box: Box) -> np.ndarray:
-    """The field of porosity in a box (Z, Y, X), 0 outside of the mask."""
+def _porosity_in_box(wanted: np.ndarray, mask: np.ndarray | None, box: Box) -> np.ndarray:
+    """Return the field of porosity in a box (Z, Y, X), 0 outside of the mask."""
     if any(start < 0 or stop > side for (start, stop), side in zip(box, wanted.shape, strict=True)):
         raise InputError(
-            f"the box {box} leaves the porosity's field of shape {wanted.shape}: nothing says what it is there"
+            f"the box {box} leaves the porosity's field of shape {wanted.shape}: nothing says "
+            "what it is there"
         )
     cut = slices_of(box)
     part = wanted[cut] if mask is None else np.where(mask[cut], wanted[cut], np.float32(0))

@@ -1,7 +1,8 @@
-"""What is drawn before anything grows: bubbles by cell, and what makes their walls uneven by node.
+"""Kernels of nucleation: bubbles drawn by cell, repelled and absorbed, and the shifts of nodes.
 
-All of it is a function of seed and cell. A cell may lie anywhere; along an axis that repeats, it is
-taken round.
+Everything drawn is a function of seed and cell. A cell may lie anywhere; along a periodic axis it
+is wrapped. Repulsion and absorption look at the cells next to a bubble's own, and read only what
+was drawn: a bubble has the same fate in every box.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ _PART = 1.0 / 4294967296.0  # of 32 random bits
 
 @inline
 def _count(word, table):
-    """How many bubbles a cell has: the first threshold above 32 random bits."""
+    """Return the number of bubbles in a cell: the first threshold above 32 random bits."""
     count = 0
     while count < len(table) and word >= table[count]:
         count += 1
@@ -28,8 +29,9 @@ def _count(word, table):
 
 @inline
 def _place(cell, around, edge, lap, word):
-    """A place in 1 / FINE of a voxel within a cell of `edge`; `around` cells, `lap` in all, make a
-    turn.
+    """Return a place in 1 / FINE of a voxel within a cell of `edge`.
+
+    A period has `around` cells and the length `lap`; `around` is 0 where the axis is endless.
     """
     if around == 0:
         return np.int64(np.floor((np.float64(cell) + np.float64(word) * _PART) * edge))
@@ -41,7 +43,7 @@ def _place(cell, around, edge, lap, word):
 
 @kernel
 def count_bubbles(starts, key, first, cells, around, table):
-    """Fill `starts` (cells + 1): the first bubble of every cell, in order of z, y, x."""
+    """Fill `starts` (cells + 1): the first bubble of every cell, in the order z, y, x."""
     starts[0] = 0
     at = 0
     for z in range(cells[0]):
@@ -56,8 +58,10 @@ def count_bubbles(starts, key, first, cells, around, table):
 
 @kernel
 def draw_bubbles(places, sizes, names, starts, key, first, cells, around, edges, laps):
-    """Fill place (N, 3) in 1 / FINE of a voxel, number in the table of sizes (N,) and name (N,) of
-    every bubble.
+    """Fill place, size and name of every bubble.
+
+    `places` (N, 3) are in 1 / FINE of a voxel, `sizes` (N,) are rows of the table of sizes, `names`
+    (N,) are random.
     """
     at = 0
     for z in range(cells[0]):
@@ -80,7 +84,7 @@ def draw_bubbles(places, sizes, names, starts, key, first, cells, around, edges,
 
 @kernel
 def draw_vectors(vectors, key, first, around):
-    """Fill (Z, Y, X, 3) int16 with even numbers from -32767 to 32767, of the cells from `first` on."""
+    """Fill (Z, Y, X, 3) int16 with even numbers -32767 .. 32767, of the cells from `first` on."""
     for z in range(vectors.shape[0]):
         for y in range(vectors.shape[1]):
             for x in range(vectors.shape[2]):
@@ -97,10 +101,10 @@ def draw_vectors(vectors, key, first, around):
 
 @kernel
 def shift_nodes(shifts, start, stop, origin, step, vectors, first, edges, scale):
-    """Shifts (Z, Y, X, 3) float32 of the nodes in planes start .. stop: vectors of cells of `edges`
-    voxels, smooth between.
+    """Fill the shifts (Z, Y, X, 3) float32 of the nodes in planes start .. stop.
 
-    Nodes lie `step` voxels apart from `origin` on; a vector's 32767 becomes 32767 `scale` voxels.
+    They are smooth between the vectors of cells of `edges` voxels. Nodes lie `step` voxels apart
+    from `origin` on; a vector's 32767 becomes 32767 `scale` voxels.
     """
     for z in range(start, stop):
         iz, tz = _within(origin[0] + z * step[0], edges[0])
@@ -122,8 +126,74 @@ def shift_nodes(shifts, start, stop, origin, step, vectors, first, edges, scale)
 
 @inline
 def _within(place, edge):
-    """The cell of a place, and how far in it lies, 0 .. 1, eased at both ends (3 t^2 - 2 t^3)."""
+    """Return the cell of a place, and the position in it, 0 .. 1, smoothed as 3 t^2 - 2 t^3."""
     at = place / edge
     cell = np.int64(np.floor(at))
     t = at - cell
     return cell, t * t * (3.0 - 2.0 * t)
+
+
+@inline
+def _ends(at, count, near):
+    """Return the range of cells from `near` before to `near` behind one, within the lattice."""
+    return max(at - near, 0), min(at + near, count - 1) + 1
+
+
+@kernel
+def repel(moved, places, starts, cells, near, apart, push):
+    """Move bubbles (N, 3), in 1 / FINE of a voxel, away from those nearer than `apart`.
+
+    Each pushes along the line between both, with 1 - distance / apart; by `push` at most, in all.
+    """
+    for z in range(cells[0]):
+        for y in range(cells[1]):
+            for x in range(cells[2]):
+                row = (z * cells[1] + y) * cells[2] + x
+                for i in range(starts[row], starts[row + 1]):
+                    az, ay, ax = 0.0, 0.0, 0.0
+                    for m in range(*_ends(z, cells[0], near[0])):
+                        for n in range(*_ends(y, cells[1], near[1])):
+                            low, high = _ends(x, cells[2], near[2])
+                            line = (m * cells[1] + n) * cells[2]
+                            for j in range(starts[line + low], starts[line + high]):
+                                dz = np.float64(places[i, 0] - places[j, 0])
+                                dy = np.float64(places[i, 1] - places[j, 1])
+                                dx = np.float64(places[i, 2] - places[j, 2])
+                                off = np.sqrt(dz * dz + dy * dy + dx * dx)
+                                if 0 < off < apart:
+                                    force = (1.0 / off - 1.0 / apart) * push
+                                    az, ay, ax = az + dz * force, ay + dy * force, ax + dx * force
+                    far = np.sqrt(az * az + ay * ay + ax * ax)
+                    less = push / far if far > push else 1.0
+                    moved[i, 0] = places[i, 0] + np.int64(np.floor(az * less + 0.5))
+                    moved[i, 1] = places[i, 1] + np.int64(np.floor(ay * less + 0.5))
+                    moved[i, 2] = places[i, 2] + np.int64(np.floor(ax * less + 0.5))
+
+
+@kernel
+def absorb(alive, places, brakes, starts, cells, near, least, touch):
+    """Mark the bubbles that live on: all but those absorbed by a faster one.
+
+    A faster one absorbs another that it would enclose in a ball of a radius below `least`, or that
+    starts in its wall. Where two alone grow from places d apart, the slower one's part is a ball of
+    radius d k / (k^2 - 1), k the ratio of speeds.
+    """
+    for z in range(cells[0]):
+        for y in range(cells[1]):
+            for x in range(cells[2]):
+                row = (z * cells[1] + y) * cells[2] + x
+                for i in range(starts[row], starts[row + 1]):
+                    alive[i] = True
+                    for m in range(*_ends(z, cells[0], near[0])):
+                        for n in range(*_ends(y, cells[1], near[1])):
+                            low, high = _ends(x, cells[2], near[2])
+                            line = (m * cells[1] + n) * cells[2]
+                            for j in range(starts[line + low], starts[line + high]):
+                                if brakes[j] < brakes[i]:
+                                    ratio = brakes[i] / brakes[j]
+                                    dz = np.float64(places[i, 0] - places[j, 0])
+                                    dy = np.float64(places[i, 1] - places[j, 1])
+                                    dx = np.float64(places[i, 2] - places[j, 2])
+                                    off = np.sqrt(dz * dz + dy * dy + dx * dx)
+                                    if off < touch or off * ratio < least * (ratio * ratio - 1.0):
+                                        alive[i] = False

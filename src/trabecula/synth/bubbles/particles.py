@@ -1,16 +1,20 @@
-"""Growth by particles, as Baravalle et al. (2016) state it (section 3, algorithms 1 and 2), in
-rounds.
+"""Growth by particles in rounds (Baravalle et al. 2016, section 3, algorithms 1 and 2).
 
 A particle has the voxels that it occupies and a contour of voxels that it may take next. In a round
 every position of every contour asks for its voxel at once. It gets it where no other particle
 stands within the separation; of those that ask for voxels within the separation of each other the
-one of lower rank, drawn anew for every particle and round. So no order of work shows. What is taken
-adds its neighbours to the contour: all, or where there is a flow the one that the flow leads to and
+one of lower rank, drawn anew for every particle and round. So no order of work shows. An occupied
+voxel adds its neighbours to the contour: all, or where there is a flow the one along the flow and
 each of the others with the probability `randomness`. A particle whose contour is empty is dead.
+
+In the kernels volumes are (Z, Y, X), pictures (1, Y, X); positions are flat indices. `near` holds,
+for every voxel, the one bubble within the separation, FREE, or SHARED between several; `claim` the
+bubble that asks for it in this round.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -19,8 +23,152 @@ import numpy as np
 
 from trabecula.core.errors import InputError
 from trabecula.core.progress import track
+from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.synth.bubbles.particle_kernels import FREE, ask, draw, judge, occupy, spread
+from trabecula.engine.compile import inline, kernel
+from trabecula.engine.random import below, philox
+from trabecula.synth.bubbles.config import BubblesConfig
+from trabecula.synth.bubbles.growth import Growth
+
+FREE, SHARED = -1, -2
+
+
+@inline
+def _neighbour(place, step, sides, wraps):
+    """Return the flat index `step` away from a place (z, y, x), or -1 outside."""
+    index = 0
+    for axis in range(3):
+        at = place[axis] + step[axis]
+        side = sides[axis]
+        if at < 0 or at >= side:
+            if not wraps[axis]:
+                return -1
+            at %= side
+        index = index * side + at
+    return index
+
+
+@inline
+def _place(index, sides):
+    """Return z, y, x of a flat index."""
+    across = sides[1] * sides[2]
+    return index // across, index // sides[2] % sides[1], index % sides[2]
+
+
+@kernel
+def draw_ranks(rank, key):
+    """Draw the ranks of the bubbles for a round: by chance, no two alike."""
+    for i in range(len(rank)):
+        rank[i] = np.int64(philox(key, i, 0, 0, 0)[0]) << 31 | i
+
+
+@kernel
+def ask_voxels(positions, bubbles, rank, near, claim, keep):
+    """Register the lowest rank that asks for the voxel of every contour position.
+
+    `keep` is False where none can. The same request twice is kept once: the second finds the first.
+    """
+    for k in range(len(positions)):
+        v, i = positions[k], bubbles[k]
+        keep[k] = (near[v] == FREE or near[v] == i) and claim[v] != i
+        if keep[k] and (claim[v] == FREE or rank[i] < rank[claim[v]]):
+            claim[v] = i
+
+
+@kernel
+def grant(positions, bubbles, rank, claim, ball, sides, wraps, keep, won):
+    """Give a voxel where no other bubble of lower rank asks for one within the separation."""
+    for k in range(len(positions)):
+        v, i = positions[k], bubbles[k]
+        won[k] = keep[k] and claim[v] == i
+        if not won[k]:
+            continue
+        place = _place(v, sides)
+        for b in range(len(ball)):
+            w = _neighbour(place, ball[b], sides, wraps)
+            if w >= 0 and claim[w] >= 0 and claim[w] != i and rank[claim[w]] < rank[i]:
+                won[k] = False
+                break
+
+
+@kernel
+def occupy_voxels(positions, bubbles, won, near, ball, sides, wraps, open_):
+    """Give winners their voxels, and close those within the separation to all other bubbles."""
+    for k in range(len(positions)):
+        if not won[k]:
+            continue
+        i = bubbles[k]
+        open_[positions[k]] = 1
+        place = _place(positions[k], sides)
+        for b in range(len(ball)):
+            w = _neighbour(place, ball[b], sides, wraps)
+            if w >= 0 and near[w] != i:
+                near[w] = i if near[w] == FREE else SHARED
+
+
+@kernel
+def spread_contours(
+    positions,
+    bubbles,
+    won,
+    directions,
+    allowed,
+    threshold,
+    steps,
+    sides,
+    wraps,
+    open_,
+    key,
+    found,
+    owner,
+):
+    """Add neighbours of the winners to their contours: the one along the flow, others by chance.
+
+    This is algorithm 2; without a direction every neighbour is added (algorithm 1). Returns the
+    number written to `found` and `owner`.
+    """
+    count = 0
+    ahead = np.zeros(3, np.int64)
+    for k in range(len(positions)):
+        if not won[k]:
+            continue
+        v = positions[k]
+        place = _place(v, sides)
+        flows = _ahead(directions, v, ahead, key)
+        for s in range(len(steps)):
+            w = _neighbour(place, steps[s], sides, wraps)
+            if w < 0 or open_[w] or not allowed[w]:
+                continue
+            along = steps[s, 0] == ahead[0] and steps[s, 1] == ahead[1] and steps[s, 2] == ahead[2]
+            if flows and not along and philox(key, v & 0xFFFFFFFF, v >> 32, s, 0)[0] >= threshold:
+                continue
+            found[count] = w
+            owner[count] = bubbles[k]
+            count += 1
+    return count
+
+
+@inline
+def _ahead(directions, v, ahead, key):
+    """Draw the neighbour along the flow so that steps follow its direction on average.
+
+    Returns False without a flow. The nearest neighbour of the solution, as in the paper, would turn
+    all directions into multiples of 45 degrees.
+    """
+    if directions.shape[0] == 0:
+        return False
+    axes = directions.shape[1]
+    most = 0
+    for a in range(axes):
+        most = max(most, abs(int(directions[v, a])))
+    words = philox(key, v & 0xFFFFFFFF, v >> 32, 0, 1)
+    ahead[:] = 0
+    for a in range(axes):
+        size = np.int64(directions[v, a])
+        if most > 0 and below(words[a], most) < abs(size):
+            ahead[3 - axes + a] = 1 if size > 0 else -1
+    return most > 0
+
 
 _SCALE = 2**32
 _MANY = 2**31  # rounds: contours are empty long before
@@ -45,7 +193,7 @@ class Grown:
     alive: int
 
 
-def grown(
+def grow_particles(
     seeds: np.ndarray,
     shape: tuple[int, ...],
     *,
@@ -58,7 +206,7 @@ def grown(
     rounds: int | None = None,
     porosity: float | None = None,
 ) -> Grown:
-    """Let particles grow.
+    """Grow particles from seeds.
 
     Parameters
     ----------
@@ -85,9 +233,9 @@ def grown(
     Raises
     ------
     InputError
-        The porosity is not reached; the message tells the most that is.
+        The porosity is not reached; the message has the highest one in reach.
     """
-    field = _Field(shape, separation, periodic, room, directions)
+    field = _ParticleField(shape, separation, periodic, room, directions)
     inside = seeds if room is None else seeds[room[tuple(seeds.T)]]
     contour = np.ravel_multi_index(tuple(inside.T), shape), np.arange(len(inside), dtype=np.int32)
     total = int(np.prod(shape)) if room is None else int(np.count_nonzero(room))
@@ -98,22 +246,23 @@ def grown(
     for last in track(
         range(_MANY if rounds is None else rounds), "bubbles", total=rounds or max(shape)
     ):
-        draw(rank, key(seed, f"particles/rank/{last}"))
+        draw_ranks(rank, key(seed, f"particles/rank/{last}"))
         left = None if goal is None else goal - taken
-        got, contour = field.round(contour, rank, threshold, key(seed, f"particles/{last}"), left)
+        got, contour = field.advance(contour, rank, threshold, key(seed, f"particles/{last}"), left)
         taken += got
         if len(contour[0]) == 0 or taken == goal:
             break
     if goal is not None and taken < goal:
         raise InputError(
-            f"a porosity of {porosity:.4f} is not reached: bubbles that stay {separation:g} voxels apart fill "
-            f"{taken / max(total, 1):.4f} at most; make the separation smaller, let them grow longer, or ask for less"
+            f"a porosity of {porosity:.4f} is not reached: bubbles that stay {separation:g} "
+            f"voxels apart fill {taken / max(total, 1):.4f} at most; make the separation smaller, "
+            "let them grow longer, or ask for less"
         )
     return Grown(field.air.reshape(shape).view(bool), last + 1, len(np.unique(contour[1])))
 
 
-class _Field:
-    """What stands where."""
+class _ParticleField:
+    """Occupied voxels, claims and room of a run."""
 
     def __init__(
         self,
@@ -139,7 +288,7 @@ class _Field:
         self.near, self.claim = np.full(size, FREE, np.int32), np.full(size, FREE, np.int32)
         self.air = np.zeros(size, np.uint8)
 
-    def round(
+    def advance(
         self,
         contour: tuple[np.ndarray, np.ndarray],
         rank: np.ndarray,
@@ -147,26 +296,25 @@ class _Field:
         words: np.uint64,
         left: int | None,
     ) -> tuple[int, tuple[np.ndarray, np.ndarray]]:
-        """How many voxels were taken, and the contour for the next round."""
+        """Do one round; return the number of voxels taken, and the contour for the next round."""
         positions, bubbles = contour
         keep, won = np.empty(len(positions), bool), np.empty(len(positions), bool)
-        ask(positions, bubbles, rank, self.near, self.claim, keep)
-        judge(positions, bubbles, rank, self.claim, self.ball, self.sides, self.wraps, keep, won)
+        ask_voxels(positions, bubbles, rank, self.near, self.claim, keep)
+        grant(positions, bubbles, rank, self.claim, self.ball, self.sides, self.wraps, keep, won)
         self.claim[positions] = FREE
         if left is not None and np.count_nonzero(won) > left:
-            # The last round: the order of ranks, then of places, says who is still served.
+            # The last round: ranks, then places, decide who still gets a voxel.
             order = np.lexsort((positions, rank[bubbles], ~won))
             won[order[left:]] = False
-        occupy(positions, bubbles, won, self.near, self.ball, self.sides, self.wraps, self.air)
-        count = int(np.count_nonzero(won))
-        found, owner = (
-            np.empty(count * len(self.steps), np.int64),
-            np.empty(count * len(self.steps), np.int32),
+        occupy_voxels(
+            positions, bubbles, won, self.near, self.ball, self.sides, self.wraps, self.air
         )
-        new = spread(
-            positions, bubbles, won, self.directions, self.allowed, threshold, self.steps, self.sides, self.wraps, self.air,
-            words, found, owner,
-        )  # fmt: skip
+        count = int(np.count_nonzero(won))
+        found = np.empty(count * len(self.steps), np.int64)
+        owner = np.empty(count * len(self.steps), np.int32)
+        lattice = (self.steps, self.sides, self.wraps, self.air)
+        flow = (self.directions, self.allowed, threshold)
+        new = spread_contours(positions, bubbles, won, *flow, *lattice, words, found, owner)
         lost = keep & ~won
         return count, (
             np.concatenate([positions[lost], found[:new]]),
@@ -175,10 +323,55 @@ class _Field:
 
 
 def _offsets(reach: int, axes: int, below: float) -> np.ndarray:
-    """Steps (n, 3) to what lies nearer than `below`, but for the place itself."""
+    """Return the steps (n, 3) to neighbours nearer than `below`, without the place itself."""
     steps = [
         step
         for step in product(range(-reach, reach + 1), repeat=axes)
         if 0 < np.hypot.reduce(step) < below
     ]
     return np.array([(0,) * (3 - axes) + step for step in steps], np.int64).reshape(-1, 3)
+
+
+_A_VOXEL = 110  # bytes a voxel: near, claim, the contours
+_A_DIRECTION = 10  # bytes more a voxel: the flow there, and its conversion to int8
+
+
+def grow_request(
+    growth: Growth, config: BubblesConfig, request: Request, porosity: float | None
+) -> Grown:
+    """Grow the bubbles of a request by particles, in its mask and its room."""
+    shape, ndim = request.shape, len(request.shape)
+    box = tuple((0, side) for side in shape)
+    flow = growth.flow if config.randomness < 1 else None
+    room = growth.room(box if ndim == 3 else ((0, 1), *box))
+    room = (
+        request.mask
+        if room is None
+        else room.reshape(shape) & (True if request.mask is None else request.mask)
+    )
+    return grow_particles(
+        _starts(growth, shape),
+        shape,
+        seed=request.seed,
+        separation=growth.law.wall,
+        randomness=config.randomness,
+        directions=None if flow is None else flow.directions(box),
+        room=room,
+        periodic=request.periodic,
+        rounds=None if config.time is None else round(growth.law.latest),
+        porosity=porosity,
+    )
+
+
+def _starts(growth: Growth, shape: Sequence[int]) -> np.ndarray:
+    """Return the voxels (N, d) from which the bubbles of a request start."""
+    deep = (1,) * (3 - len(shape)) + tuple(shape)
+    places = growth.world(tuple((0, side) for side in deep))[1][1]
+    voxels = np.floor(places).astype(np.int64)
+    inside = ((voxels >= 0) & (voxels < deep)).all(1)
+    return voxels[inside][:, 3 - len(shape) :]
+
+
+def bytes_of_particles(shape: Sequence[int], *, flows: bool) -> int:
+    """Return the memory of the rounds beside the air."""
+    return (_A_VOXEL + (_A_DIRECTION if flows else 0)) * math.prod(shape)

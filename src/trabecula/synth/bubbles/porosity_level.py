@@ -1,10 +1,9 @@
-"""When growth stops: the arrival up to which the void has its share, told from some of the blocks
-that are asked for.
+"""End of growth for a porosity: the arrival up to which the void has its volume fraction.
 
-In a request of up to 2 million voxels every one is counted, so that the share comes out to the
-voxel. In larger ones voxels of scattered blocks are, one of each part of an even division of the
-request: what is made then misses the share by chance, 0.05 points as a rule. Either way a block
-that is made alone has the same level as the whole.
+In a request of up to 2 million voxels every one is counted, so that the fraction is exact to the
+voxel. In larger ones voxels of scattered blocks are counted, one of each part of an even division
+of the request: the result then misses the fraction by chance, 0.05 points as a rule. Either way a
+block that is made alone has the same level as the whole.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy as np
 
 from trabecula.core.seeds import generator
 from trabecula.engine.blocks import Box, boxes_of
-from trabecula.synth.bubbles.growth import Growth
+from trabecula.synth.bubbles.growth import Growth, bytes_of_box
 from trabecula.synth.bubbles.growth_law import Law
 from trabecula.synth.bubbles.kernels import BLOCK, SUPER
 
@@ -26,34 +25,34 @@ COUNTED = 1 << 21
 
 _FEWEST, _MOST = 1 << 16, 1 << 18  # blocks of a larger one
 _EACH = 8  # blocks for each bubble, between the two
-# voxels along an edge of what is looked at together, where all are counted and where some are
+# voxels along an edge of a box of blocks, where all voxels are counted and where some are
 _PARTS = (64, 256)
-_A_VOXEL = 26  # bytes for each voxel that is counted, meanwhile
+_A_VOXEL = 26  # bytes for each counted voxel during the count
 
 
 @dataclass(frozen=True)
 class Arrivals:
-    """T^2 of the voxels that were counted, in order; those in walls, and out of the bubbles' room,
-    come last, as infinity.
+    """Sorted T^2 of the counted voxels.
 
     Attributes
     ----------
     values : (N,) float32 array
+        Those in walls and out of the room are infinite, and so the last.
     """
 
     values: np.ndarray
 
     @property
     def most(self) -> float:
-        """The highest share of void that growth reaches."""
+        """Return the highest void fraction that growth reaches."""
         return float(np.searchsorted(self.values, np.inf) / max(1, len(self.values)))
 
     def reaches(self, share: float) -> bool:
-        """Whether growth reaches a share of void."""
+        """Return whether growth reaches a void fraction."""
         return round(share * len(self.values)) <= int(np.searchsorted(self.values, np.inf))
 
     def level(self, share: float | np.ndarray) -> np.float32 | np.ndarray:
-        """T^2 at which the void has a share (or a field of them), below 0 where that is none."""
+        """Return T^2 for a void fraction (or a field of them), below 0 where it is none."""
         rank = np.rint(np.asarray(share, np.float64) * len(self.values)).astype(np.int64)
         rank = np.minimum(rank, np.searchsorted(self.values, np.inf))
         found = np.where(rank > 0, self.values[np.maximum(rank - 1, 0)], np.float32(-1))
@@ -61,29 +60,25 @@ class Arrivals:
 
 
 def arrivals_of(growth: Growth, shape: Sequence[int], mask: np.ndarray | None) -> Arrivals:
-    """Arrivals in a request (of its mask, less what is no room of the bubbles), enough of them to
-    tell any level.
-    """
+    """Return arrivals in a request (in its mask, less the crust), enough of them for any level."""
     voxels, ndim = math.prod(shape), growth.law.ndim
-    wanted, picked, side = _counted(growth.law, shape)
+    wanted, picked, side = _sample_sizes(growth.law, shape)
     chance = generator(growth.seed, "bubbles/level")
     found = []
     for box in boxes_of(shape, side):
         share = math.prod(stop - start for start, stop in box) / voxels
-        blocks = _scattered(box, max(1, round(wanted * share)), ndim, chance)
+        blocks = _scatter_blocks(box, max(1, round(wanted * share)), ndim, chance)
         picks = _picks(len(blocks), picked, ndim, chance)
         values = growth.sample(box, blocks, picks)
-        found.append(values[_inside(blocks, picks, box, growth, mask)])
+        found.append(values[_count_mask(blocks, picks, box, growth, mask)])
     values = np.concatenate(found)
     values.sort()
     return Arrivals(values)
 
 
 def bytes_counted(law: Law, shape: Sequence[int]) -> tuple[int, int, int]:
-    """Bytes of the arrivals in a request, bytes that finding them takes, and the edge of what is
-    looked at together.
-    """
-    wanted, picked, side = _counted(law, shape)
+    """Return bytes of the arrivals, bytes of finding them, and the edge of a box of blocks."""
+    wanted, picked, side = _sample_sizes(law, shape)
     voxels = math.prod(shape)
     values = min(wanted * picked, voxels)
     most = min(side, max(shape)) ** law.ndim
@@ -91,10 +86,8 @@ def bytes_counted(law: Law, shape: Sequence[int]) -> tuple[int, int, int]:
     return 4 * values, 4 * values + max(4 * values, _A_VOXEL * part), side
 
 
-def _counted(law: Law, shape: Sequence[int]) -> tuple[int, int, int]:
-    """How many blocks are looked at, how many of the voxels of each, and how far what is looked at
-    together goes.
-    """
+def _sample_sizes(law: Law, shape: Sequence[int]) -> tuple[int, int, int]:
+    """Return the number of blocks, the voxels picked in each, and the edge of a box of blocks."""
     voxels, whole = math.prod(shape), BLOCK**law.ndim
     if voxels <= COUNTED:
         return voxels, whole, _PARTS[0]  # more blocks than there are: all
@@ -102,9 +95,10 @@ def _counted(law: Law, shape: Sequence[int]) -> tuple[int, int, int]:
     return int(min(max(_EACH * bubbles, _FEWEST), _MOST)), 2**law.ndim, _PARTS[1]
 
 
-def _scattered(box: Box, wanted: int, ndim: int, chance: np.random.Generator) -> np.ndarray:
-    """Blocks (N, 3) of a box: all of them, or one anywhere in each part of an even division into
-    about `wanted`.
+def _scatter_blocks(box: Box, wanted: int, ndim: int, chance: np.random.Generator) -> np.ndarray:
+    """Return blocks (N, 3) of a box: all, or one by chance in each part of a division.
+
+    The division is even, into about `wanted` parts.
     """
     ranges = [(start // BLOCK, -(-stop // BLOCK)) for start, stop in box]
     share = min(1.0, (wanted / math.prod(stop - start for start, stop in ranges)) ** (1 / ndim))
@@ -120,8 +114,9 @@ def _scattered(box: Box, wanted: int, ndim: int, chance: np.random.Generator) ->
 
 
 def _picks(blocks: int, picked: int, ndim: int, chance: np.random.Generator) -> np.ndarray:
-    """Numbers of voxels in their blocks: all, alike for all, or one of each eighth (quarter) of the
-    block.
+    """Return numbers of voxels in their blocks.
+
+    They are all, alike for all blocks, or one of each eighth (quarter) of the block.
     """
     if picked == BLOCK**ndim:
         return np.arange(picked, dtype=np.uint8)[None]
@@ -130,10 +125,10 @@ def _picks(blocks: int, picked: int, ndim: int, chance: np.random.Generator) -> 
     return (places @ ([BLOCK, 1, BLOCK**2] if ndim == 3 else [1, BLOCK])).astype(np.uint8)
 
 
-def _inside(
+def _count_mask(
     blocks: np.ndarray, picks: np.ndarray, box: Box, growth: Growth, mask: np.ndarray | None
 ) -> np.ndarray:
-    """Which of the picked voxels count."""
+    """Return a mask of the picked voxels that count."""
     flat = growth.law.ndim == 2
     rows = BLOCK if flat else BLOCK**2  # as kernels count the voxels of a block
     within = np.stack([picks % rows // BLOCK, picks % BLOCK, picks // rows], -1)
@@ -145,3 +140,11 @@ def _inside(
         if region is not None:
             count[count] = region[tuple((places[count] - corner).T)]
     return count
+
+
+def bytes_of_level(law: Law, shape: Sequence[int], *, flows: bool) -> tuple[int, int]:
+    """Return the bytes of the arrivals in a request, and the bytes of finding them."""
+    kept, held, part = bytes_counted(law, shape)
+    return kept, max(
+        held, kept + bytes_of_box(law, [min(part, side) for side in shape], flows=flows)
+    )

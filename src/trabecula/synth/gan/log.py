@@ -147,7 +147,8 @@ def save_checkpoint(
     about = json.dumps({"identity": _identity(config, image), **plain}).encode()
     with replacing(Path(config.run) / _CHECKPOINT) as temporary, temporary.open("wb") as stream:
         arrays = {f"state.{name}": tensor.cpu().numpy() for name, tensor in tensors.items()}
-        np.savez(stream, **{_ABOUT: np.frombuffer(about, np.uint8)}, **arrays)  # type: ignore[arg-type]
+        arrays[_ABOUT] = np.frombuffer(about, np.uint8)
+        np.savez(stream, **arrays)
 
 
 def load_checkpoint(config: GanConfig, image: Image) -> TrainingCheckpoint | None:

@@ -32,7 +32,7 @@ _MANY = 65536  # neighbourhoods measured for the statistics, at most
 
 
 @dataclass(frozen=True)
-class Neighbourhoods:
+class SliceNeighbourhoods:
     """Neighbourhoods of a picture: `around` (n, K) uint8 levels without the centre, `centres` (n,)
     uint8.
     """
@@ -40,11 +40,11 @@ class Neighbourhoods:
     around: np.ndarray
     centres: np.ndarray
 
-    def __getitem__(self, chosen: np.ndarray) -> Neighbourhoods:
+    def __getitem__(self, chosen: np.ndarray) -> SliceNeighbourhoods:
         """Select some of them by an index array."""
-        return Neighbourhoods(self.around[chosen], self.centres[chosen])
+        return SliceNeighbourhoods(self.around[chosen], self.centres[chosen])
 
-    def subsample(self, most: int) -> Neighbourhoods:
+    def subsample(self, most: int) -> SliceNeighbourhoods:
         """Return at most `most` of them, evenly spread over the picture."""
         count = len(self.centres)
         return self if count <= most else self[(2 * np.arange(most) + 1) * count // (2 * most)]
@@ -100,7 +100,7 @@ def extract_neighbourhoods(
     width: int,
     every: bool,
     diagonal: tuple[bool, bool] = (False, False),
-) -> Neighbourhoods:
+) -> SliceNeighbourhoods:
     """Extract the neighbourhoods of a picture (R, C) of levels, decimated `scale` times by two.
 
     With `every`, all of the 4^scale decimated pictures that begin at another pixel are used; the
@@ -120,11 +120,11 @@ def extract_neighbourhoods(
             )
     middle = width**2 // 2
     around = np.concatenate([np.delete(part, middle, axis=1) for part in found])
-    return Neighbourhoods(around, np.concatenate([part[:, middle] for part in found]))
+    return SliceNeighbourhoods(around, np.concatenate([part[:, middle] for part in found]))
 
 
 def prepare_candidates(
-    neighbourhoods: Neighbourhoods,
+    neighbourhoods: SliceNeighbourhoods,
     content: PictureLevels,
     *,
     most: int,
@@ -189,12 +189,12 @@ def _variance(features: np.ndarray, marginal: np.ndarray) -> float:
     return max(float(share @ ((features - mean) ** 2).sum(1)), 1e-3)
 
 
-def _merge_equal(neighbourhoods: Neighbourhoods) -> tuple[Neighbourhoods, np.ndarray]:
+def _merge_equal(neighbourhoods: SliceNeighbourhoods) -> tuple[SliceNeighbourhoods, np.ndarray]:
     """Merge equal neighbourhoods with equal centres, and count how often each occurs."""
     rows, times = np.unique(
         np.column_stack([neighbourhoods.centres, neighbourhoods.around]), axis=0, return_counts=True
     )
-    return Neighbourhoods(rows[:, 1:], np.ascontiguousarray(rows[:, 0])), times
+    return SliceNeighbourhoods(rows[:, 1:], np.ascontiguousarray(rows[:, 0])), times
 
 
 def label_codes(count: int) -> tuple[np.ndarray, int]:
@@ -208,7 +208,7 @@ def label_codes(count: int) -> tuple[np.ndarray, int]:
     return np.uint64(1) << np.arange(count, dtype=np.uint64), count
 
 
-def _pack_bits(neighbourhoods: Neighbourhoods, count: int) -> np.ndarray:
+def _pack_bits(neighbourhoods: SliceNeighbourhoods, count: int) -> np.ndarray:
     """Pack the labels of the neighbours into words, (W, n) uint64."""
     codes, each = label_codes(count)
     per = 64 // each
@@ -220,7 +220,7 @@ def _pack_bits(neighbourhoods: Neighbourhoods, count: int) -> np.ndarray:
 
 
 def _product_columns(
-    neighbourhoods: Neighbourhoods, features: np.ndarray, *, each: bool
+    neighbourhoods: SliceNeighbourhoods, features: np.ndarray, *, each: bool
 ) -> np.ndarray:
     """Return columns of a matrix product: features by channel and neighbour, then the squares, of
     `each` neighbour or summed.
@@ -273,8 +273,8 @@ _WHOLE = 1 << 20
 
 
 def reweight_by_porosity(
-    neighbourhoods: Neighbourhoods, void: int, porosity: float
-) -> Neighbourhoods:
+    neighbourhoods: SliceNeighbourhoods, void: int, porosity: float
+) -> SliceNeighbourhoods:
     """Draw as many neighbourhoods anew for another porosity than the picture's.
 
     They are drawn evenly with weights exp(theta u), where u is the share of void in a

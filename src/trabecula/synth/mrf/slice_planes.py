@@ -26,7 +26,7 @@ Offset = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
-class SlicePlane:
+class ViewPlane:
     """A plane, by the voxels (z, y, x) of one step along the rows' axis and one along the columns'
     axis of its picture.
     """
@@ -40,10 +40,10 @@ class SlicePlane:
         return sum(map(abs, self.rows)) > 1, sum(map(abs, self.columns)) > 1
 
     @property
-    def mirror_image(self) -> SlicePlane:
+    def mirror_image(self) -> ViewPlane:
         """Return the same plane with its picture seen from behind."""
         z, y, x = self.columns
-        return SlicePlane(self.rows, (-z, -y, -x))
+        return ViewPlane(self.rows, (-z, -y, -x))
 
     def offsets(self, width: int) -> np.ndarray:
         """Return the offsets of the neighbours, (w^2 - 1, 3) int64, in the order of a picture's
@@ -56,13 +56,13 @@ class SlicePlane:
         return np.delete(grid.reshape(-1, 3), width**2 // 2, axis=0)
 
 
-def plane_across(axis: int) -> SlicePlane:
+def plane_across(axis: int) -> ViewPlane:
     """Return the plane across an axis, along the two others."""
     rows, columns = (other for other in range(3) if other != axis)
-    return SlicePlane(_unit_step(rows), _unit_step(columns))
+    return ViewPlane(_unit_step(rows), _unit_step(columns))
 
 
-def oblique_planes(axis: int) -> tuple[SlicePlane, SlicePlane, SlicePlane]:
+def oblique_planes(axis: int) -> tuple[ViewPlane, ViewPlane, ViewPlane]:
     """Return three orthogonal planes, rotated by 45 degrees about an axis."""
     first, second = (other for other in range(3) if other != axis)
     up, down = (
@@ -70,10 +70,10 @@ def oblique_planes(axis: int) -> tuple[SlicePlane, SlicePlane, SlicePlane]:
         np.subtract(_unit_step(first), _unit_step(second)),
     )
     rising, falling, along = tuple(up.tolist()), tuple(down.tolist()), _unit_step(axis)
-    return SlicePlane(rising, falling), SlicePlane(along, rising), SlicePlane(along, falling)
+    return ViewPlane(rising, falling), ViewPlane(along, rising), ViewPlane(along, falling)
 
 
-def union_offsets(planes: Sequence[SlicePlane], width: int) -> np.ndarray:
+def union_offsets(planes: Sequence[ViewPlane], width: int) -> np.ndarray:
     """Return all neighbours in three dimensions, each once (equation 11)."""
     return np.unique(np.concatenate([plane.offsets(width) for plane in planes]), axis=0)
 
@@ -94,7 +94,7 @@ _MOST = 1 << 30
 class SliceView:
     """A view at one scale: its plane and its candidates; `learner` numbers its statistics."""
 
-    plane: SlicePlane
+    plane: ViewPlane
     candidates: ParzenCandidates
     learner: int
 

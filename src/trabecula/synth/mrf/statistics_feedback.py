@@ -29,7 +29,7 @@ from trabecula.synth.mrf.density import UNIT
 from trabecula.synth.shared.statistics.pairs import Pairs, Planes
 
 if TYPE_CHECKING:
-    from trabecula.synth.mrf.candidates import Neighbourhoods
+    from trabecula.synth.mrf.candidates import SliceNeighbourhoods
     from trabecula.synth.mrf.picture_levels import PictureLevels
 
 
@@ -49,7 +49,7 @@ class JointHistogram:
 
 
 def joint_histogram(
-    neighbourhoods: Neighbourhoods, content: PictureLevels, bins: int
+    neighbourhoods: SliceNeighbourhoods, content: PictureLevels, bins: int
 ) -> JointHistogram:
     """Measure the joint statistic of a picture's neighbourhoods, with cells of about equal
     share.

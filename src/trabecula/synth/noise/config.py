@@ -46,7 +46,7 @@ class NoiseConfig:
 
     thickness: float | None = None
     """Of the walls of "voronoi" and the struts of "voronoi_edges", in the image's unit, above 0.
-    The porosity is then what it leaves. None: as thick as the porosity asks for."""
+    The porosity then follows from it. None: the thickness follows from the porosity."""
 
     jitter: float = 1.0
     """How far the points of "worley" and the Voronoi kinds lie from the middles of their cells, 0
@@ -104,7 +104,7 @@ class NoiseConfig:
         self._check_together()
 
     def _check_together(self) -> None:
-        """Settings that say nothing of this kind, or contradict each other."""
+        """Check for settings without a meaning for this kind, or against each other."""
         if self.thickness is not None and self.kind not in WALLED:
             raise InputError(
                 f"thickness is that of {' and '.join(WALLED)}: leave it out of kind={self.kind!r}"
@@ -114,7 +114,8 @@ class NoiseConfig:
             raise InputError(f"thickness and {other} both say how much is solid: give one of them")
         if self.invert and self.kind not in _TURNED:
             raise InputError(
-                f"invert is for {', '.join(_TURNED)}: kind={self.kind!r} is the same either way, set porosity instead"
+                f"invert is for {', '.join(_TURNED)}: kind={self.kind!r} is the same either way, "
+                "set porosity instead"
             )
         if self.covariance != "auto" and self.kind != "gaussian":
             raise InputError(
@@ -123,6 +124,7 @@ class NoiseConfig:
 
 
 def _as_porosity(value: Any) -> float | None:
+    """Check a porosity."""
     if value is None:
         return None
     found = float(as_number(value, name="porosity", low=0, high=1))
@@ -134,6 +136,7 @@ def _as_porosity(value: Any) -> float | None:
 
 
 def _as_length(value: Any) -> float | tuple[float, ...] | None:
+    """Check one length, or one an axis."""
     if value is None or not isinstance(value, Sequence) or isinstance(value, str):
         return None if value is None else _as_positive(value, name="length")
     if len(value) not in (2, 3):
@@ -144,6 +147,7 @@ def _as_length(value: Any) -> float | tuple[float, ...] | None:
 
 
 def _as_positive(value: Any, *, name: str) -> float:
+    """Check a number above 0."""
     found = float(as_number(value, name=name, low=0, high=_LONGEST))
     if found == 0:
         raise InputError(f"{name}={value!r} should be above 0")

@@ -1,4 +1,4 @@
-"""From a phase's two-point function to the filter that makes a Gaussian field of it.
+"""Filters of Gaussian fields: from a phase's two-point function, or from a named covariance.
 
 Cut at t = Phi^-1(1 - phi), a Gaussian field of covariance rho(r) gives a phase of fraction phi with
 the two-point function
@@ -12,12 +12,14 @@ doi:10.1016/0021-9797(84)90481-8).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
 
-from trabecula.numerics.transforms import sums_by_offset
+from trabecula.numerics.transforms import fast_side, sums_by_offset
+from trabecula.synth.noise.config import NoiseConfig
 
 _ANGLES = 1 << 13
 _NEAR = 2.0  # voxels: offsets below it are fitted in full, those beyond less and less
@@ -25,7 +27,7 @@ _NEAR = 2.0  # voxels: offsets below it are fitted in full, those beyond less an
 
 @dataclass(frozen=True)
 class Filter:
-    """White noise convolved with `values` has the fitted covariance.
+    """A filter: white noise convolved with `values` has the fitted covariance.
 
     Attributes
     ----------
@@ -41,9 +43,7 @@ class Filter:
 
 
 def joint_probability(fraction: float) -> tuple[np.ndarray, np.ndarray]:
-    """S2 of a cut Gaussian field as a table: arcsin of the covariance, -pi/2 .. pi/2, and S2
-    (equation above).
-    """
+    """Return arcsin of the covariance, -pi/2 .. pi/2, and S2 of the cut field (equation above)."""
     threshold = NormalDist().inv_cdf(1 - fraction)
     angle = np.linspace(-np.pi / 2, np.pi / 2, _ANGLES + 1)
     # 1 + sin(-pi/2) is 0: the limit is 0, or 1 where the threshold is 0.
@@ -57,18 +57,18 @@ def joint_probability(fraction: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def counts_by_offset(inside: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
-    """Pairs of True voxels for every offset, -reach .. reach along every axis, by Fourier
-    transform.
+    """Count pairs of True voxels at every offset, -reach .. reach along every axis.
+
+    The counts come from a Fourier transform.
     """
     return np.rint(sums_by_offset(inside, reach))
 
 
-def averaged(hits: np.ndarray, pairs: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
-    """S2 as a mean over directions, at every offset -reach .. reach; beyond the longest that is
-    known, its last value.
+def radial_mean(hits: np.ndarray, pairs: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
+    """Return S2 averaged over directions, at every offset -reach .. reach.
 
-    Offsets are gathered by their length, rounded, and S2 runs straight between the mean lengths of
-    neighbours.
+    Offsets are gathered by their rounded length, and S2 is linear between the mean lengths of
+    neighbours. Beyond the longest known offset it keeps its last value.
     """
     length = np.sqrt(sum(part.astype(np.float64) ** 2 for part in _axes(hits.shape)))
     bins, weight = np.rint(length).astype(np.int64).ravel(), pairs.ravel()
@@ -82,10 +82,10 @@ def averaged(hits: np.ndarray, pairs: np.ndarray, reach: tuple[int, ...]) -> np.
     )
 
 
-def fitted_filter(
+def fit_filter(
     two_point: np.ndarray, fraction: float, *, corrections: int, isotropic: bool = False
 ) -> Filter:
-    """The filter for S2 at every offset (odd sides, offset 0 in the middle).
+    """Return the filter for S2 at every offset (odd sides, offset 0 in the middle).
 
     The covariance fades out over the outer half of every axis (of every direction, where
     `isotropic`), where few pairs fit.
@@ -97,11 +97,11 @@ def fitted_filter(
 
 
 def filter_of(covariance: np.ndarray, *, corrections: int) -> Filter:
-    """The filter for a covariance at every offset (odd sides, offset 0 in the middle).
+    """Return the filter for a covariance at every offset (odd sides, offset 0 in the middle).
 
     The spectrum of a measured covariance has a negative part, since a finite image's S2 is
-    uncertain and not every S2 belongs to a Gaussian field. Cutting that off adds white noise, felt
-    most at the shortest offsets; so the nearest spectrum without negative part is sought, in least
+    uncertain and not every S2 belongs to a Gaussian field. Clipping it adds white noise, felt most
+    at the shortest offsets; so the nearest spectrum without negative part is sought, in least
     squares over offsets with weights that fall with distance, by projected gradients with momentum
     (Beck and Teboulle 2009, FISTA, doi:10.1137/080716542).
     """
@@ -124,6 +124,7 @@ def filter_of(covariance: np.ndarray, *, corrections: int) -> Filter:
 
 
 def _axes(shape: tuple[int, ...]) -> list[np.ndarray]:
+    """Return the absolute offsets along every axis."""
     return [
         np.abs(part)
         for part in np.ogrid[tuple(slice(-(side // 2), side // 2 + 1) for side in shape)]
@@ -131,7 +132,7 @@ def _axes(shape: tuple[int, ...]) -> list[np.ndarray]:
 
 
 def _fading(shape: tuple[int, ...]) -> np.ndarray:
-    """1 in the inner half of every axis, falling to 0 at the end as a cosine does."""
+    """Return a window of 1 in the inner half of every axis, falling to 0 at the end as a cosine."""
     window = np.ones(shape)
     for part, side in zip(_axes(shape), shape, strict=True):
         along = np.clip(2 * part / (side // 2 + 1) - 1, 0, 1)
@@ -140,7 +141,7 @@ def _fading(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _fading_around(shape: tuple[int, ...]) -> np.ndarray:
-    """The same along every direction."""
+    """Return the same window along every direction."""
     z, y, x = _axes(shape)
     along = np.clip(
         2 * np.sqrt(z**2 + y**2 + x**2) / (min(side for side in shape if side > 1) // 2 + 1) - 1,
@@ -151,5 +152,98 @@ def _fading_around(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _weight(shape: tuple[int, ...]) -> np.ndarray:
+    """Return weights that fall with the offset."""
     z, y, x = _axes(shape)
     return (1 + (z**2 + y**2 + x**2) / _NEAR**2) ** -1.5
+
+
+_NAMED: dict[str, tuple[Callable[[np.ndarray], np.ndarray], float]] = {
+    "exponential": (lambda r: np.exp(-r), 4.0),
+    "matern32": (lambda r: (1 + 3**0.5 * r) * np.exp(-(3**0.5) * r), 3.0),
+    "matern52": (lambda r: (1 + 5**0.5 * r + 5 / 3 * r**2) * np.exp(-(5**0.5) * r), 2.6),
+    "gaussian": (lambda r: np.exp(-(r**2)), 2.0),
+    "wave": (lambda r: np.sinc(2 * r) * np.exp(-(r**2) / 2), 3.0),
+}
+"""Covariances of the distance over the length, each with the distance that its filter reaches."""
+
+_PARTS = 1 << 18
+
+MOST_REACH = 100
+"""Voxels that a filter reaches at most."""
+
+
+def reach_of(shape: Sequence[int], config: NoiseConfig, *, flat: bool) -> tuple[int, ...]:
+    """Return the largest offsets of an exemplar's two-point function along every axis."""
+    reach = tuple(min(config.reach, (side - 1) // 2) for side in shape)
+    # A flat exemplar shows nothing along its normal, which then takes the reach across it.
+    return (
+        (min(far for far in reach if far),) * 3
+        if config.isotropic and any(reach) and not flat
+        else reach
+    )
+
+
+def fit_filters(
+    values: np.ndarray, present: Sequence[int], config: NoiseConfig, *, flat: bool
+) -> list[Filter]:
+    """Return a filter per phase but the last, each within the rest of the phases before."""
+    reach = reach_of(values.shape, config, flat=flat)
+    left = np.ones(values.shape, bool)
+    filters: list[Filter] = []
+    for label in present[:-1]:
+        inside = values == label
+        filters.append(_fit_phase(inside, left, reach, config))
+        left &= ~inside
+    return filters
+
+
+def _fit_phase(
+    inside: np.ndarray, left: np.ndarray, reach: tuple[int, ...], config: NoiseConfig
+) -> Filter:
+    """Return the filter of one phase within the voxels that are left."""
+    fraction = float(np.count_nonzero(inside) / np.count_nonzero(left))
+    if fraction > 0.5:
+        # The covariance follows from either side of the threshold, and from the rarer one far
+        # better: the chance surplus of a phase at an offset is in proportion to its fraction.
+        inside, fraction = left & ~inside, 1 - fraction
+    seen = tuple(min(far, side - 1) for far, side in zip(reach, left.shape, strict=True))
+    pairs = counts_by_offset(left, seen)
+    hits = counts_by_offset(inside, seen)
+    if config.isotropic:
+        hits = radial_mean(hits, pairs, reach)
+    else:
+        hits /= np.maximum(pairs, 1)
+        hits[pairs < 1] = fraction**2
+    return fit_filter(hits, fraction, corrections=config.corrections, isotropic=config.isotropic)
+
+
+def covariance_reach(name: str, lengths: Sequence[float], *, flat: bool) -> tuple[int, ...]:
+    """Return the reach of the filter of a named covariance, for lengths in voxels."""
+    far = _NAMED[name][1]
+    return tuple(
+        0 if flat and axis == 0 else max(1, int(np.ceil(far * length)))
+        for axis, length in enumerate(lengths)
+    )
+
+
+def covariance_filter(name: str, lengths: Sequence[float], *, flat: bool) -> Filter:
+    """Return the filter of a named covariance, for lengths in voxels.
+
+    It is found on a torus half as wide again as the filter, so that the covariance has faded where
+    it meets itself: an edge there would roughen the field along the axes.
+    """
+    reach = covariance_reach(name, lengths, flat=flat)
+    sides = [fast_side(3 * far + 1) for far in reach]
+    offsets = np.ix_(*(np.minimum(np.arange(side), side - np.arange(side)) for side in sides))
+    distance = np.sqrt(
+        sum((part / length) ** 2 for part, length in zip(offsets, lengths, strict=True))
+    )
+    power = np.maximum(np.fft.rfftn(_NAMED[name][0](distance)).real, 0)
+    whole = np.fft.irfftn(np.sqrt(power), sides, (0, 1, 2))
+    for axis, far in enumerate(reach):
+        whole = np.take(whole, np.arange(-far, far + 1), axis)
+    # In whole parts, so that the last bit of an exponential, which machines disagree about, is
+    # gone.
+    return Filter(
+        (np.rint(whole / np.sqrt((whole**2).sum()) * _PARTS) / _PARTS).astype(np.float32), 0.0
+    )

@@ -1,9 +1,8 @@
-"""What the settings and an exemplar, if there is one, come to: which phases, how much of each, and
-which field.
-"""
+"""Phases, volume fractions and field of a model, and labels by rank for exact fractions."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -12,31 +11,31 @@ import numpy as np
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
+from trabecula.core.request import Request
 from trabecula.engine.blocks import Box
-from trabecula.engine.memory import Stage
+from trabecula.engine.memory import Array, Stage, Workspace, within
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.noise.config import NoiseConfig
-from trabecula.synth.noise.convolve import Use
-from trabecula.synth.noise.covariance import Filter
-from trabecula.synth.noise.covariance_fit import MOST_REACH, named_filter, named_reach
+from trabecula.synth.noise.covariance import MOST_REACH, Filter, covariance_filter, covariance_reach
 from trabecula.synth.noise.gaussian import GaussianField
-from trabecula.synth.noise.pattern import Lattice
-from trabecula.synth.noise.periodic_domain import Domain
+from trabecula.synth.noise.pattern import LatticePattern
+from trabecula.synth.noise.periodic_domain import Domain, Use, domain_of, lift_box
 
 _CELL = 10
 """Voxels of a length that is not given."""
 
 
 class Field(Protocol):
-    """What is cut: one field a phase but the last, numbers by voxel."""
+    """Numbers by voxel to be cut at a level: one field a phase but the last."""
 
     def each(self, number: int, domain: Domain, box: Box, use: Use, *, most: float = ...) -> None:
-        """A field in a box: `use(piece, z, plane)` gets it plane by plane; above `most` any number
-        above it will do.
+        """Make a field in a box: `use(piece, z, plane)` gets it plane by plane.
+
+        Above `most` any number above it will do.
         """
 
     def level(self, number: int, share: float) -> float:
-        """Above which the endless field has the share."""
+        """Return the level above which the endless field has the share."""
 
     def stages(self, shape: Sequence[int]) -> tuple[Stage, ...]:
         """Return the stages of making a box (Z, Y, X), with the arrays beside its result."""
@@ -44,8 +43,10 @@ class Field(Protocol):
 
 @dataclass(frozen=True)
 class Phases:
-    """Labels in the order in which they are cut out, each where its field is high; the last is what
-    remains.
+    """Labels and volume fractions in the order of the cuts.
+
+    Each phase is where its field is high within the rest of those before; the last is the
+    remainder.
 
     Attributes
     ----------
@@ -57,12 +58,12 @@ class Phases:
     fractions: tuple[float, ...]
 
     def share(self, i: int) -> float:
-        """Of a phase, of what the phases before it leave."""
+        """Return the fraction of a phase within the rest of the phases before it."""
         return self.fractions[i] / sum(self.fractions[i:])
 
 
 def phases_of(config: NoiseConfig, facts: ExemplarInfo, exemplars: Sequence[Image]) -> Phases:
-    """The phases of a model and their shares.
+    """Return the phases of a model and their volume fractions.
 
     Raises
     ------
@@ -73,8 +74,8 @@ def phases_of(config: NoiseConfig, facts: ExemplarInfo, exemplars: Sequence[Imag
     if len(labels) > 2 and (config.kind != "gaussian" or config.porosity is not None):
         said = f"kind={config.kind!r}" if config.kind != "gaussian" else "porosity"
         raise InputError(
-            f"{said} is of void and solid, the exemplar has {len(labels)} phases: merge phases first, or leave it to the "
-            "Gaussian field of its covariance"
+            f"{said} is of void and solid, the exemplar has {len(labels)} phases: merge phases "
+            "first, or leave it to the Gaussian field of its covariance"
         )
     void = facts.phases.index("void") if "void" in facts.phases else labels[0]
     if len(labels) == 2 and config.porosity is not None:
@@ -87,6 +88,7 @@ def phases_of(config: NoiseConfig, facts: ExemplarInfo, exemplars: Sequence[Imag
 def _present(
     config: NoiseConfig, facts: ExemplarInfo, exemplars: Sequence[Image]
 ) -> tuple[list[int], list[float]]:
+    """Return the labels and volume fractions of the exemplar, or of the settings."""
     if not exemplars:
         porosity = 0.5 if config.porosity is None else config.porosity
         return [0, 1], [porosity, 1 - porosity]
@@ -95,8 +97,10 @@ def _present(
     return labels, [float(share) for share in np.bincount(values.ravel())[labels] / values.size]
 
 
-def chosen(config: NoiseConfig, facts: ExemplarInfo, filters: list[Filter], *, flat: bool) -> Field:
-    """The field that the settings ask for.
+def choose_field(
+    config: NoiseConfig, facts: ExemplarInfo, filters: list[Filter], *, flat: bool
+) -> Field:
+    """Return the field of the settings.
 
     Raises
     ------
@@ -107,7 +111,8 @@ def chosen(config: NoiseConfig, facts: ExemplarInfo, filters: list[Filter], *, f
     if filters:
         if config.length is not None:
             raise InputError(
-                "length has no say where the exemplar's covariance is followed: name a covariance, or leave length out"
+                "length has no say where the exemplar's covariance is followed: name a "
+                "covariance, or leave length out"
             )
         return GaussianField(filters)
     spacing = (facts.spacing[0],) * (3 - facts.ndim) + facts.spacing
@@ -115,30 +120,33 @@ def chosen(config: NoiseConfig, facts: ExemplarInfo, filters: list[Filter], *, f
     lengths = [edge / voxel for edge, voxel in zip(edges, spacing, strict=True)]
     _check_cells(config, lengths[1:] if flat else lengths, facts.unit)
     if config.kind != "gaussian":
-        return Lattice(config, edges, spacing, flat=flat)
+        return LatticePattern(config, edges, spacing, flat=flat)
     name = "gaussian" if config.covariance == "auto" else config.covariance
-    if max(named_reach(name, lengths, flat=flat)) > MOST_REACH:
+    if max(covariance_reach(name, lengths, flat=flat)) > MOST_REACH:
         raise InputError(
-            f"length={config.length} is {max(lengths):.0f} voxels, of which a filter of covariance {name!r} would reach "
-            f"{max(named_reach(name, lengths, flat=flat))}, {MOST_REACH} at most: use larger voxels, or a shorter length"
+            f"length={config.length} is {max(lengths):.0f} voxels, of which a filter of "
+            f"covariance {name!r} would reach {max(covariance_reach(name, lengths, flat=flat))}, "
+            f"{MOST_REACH} at most: use larger voxels, or a shorter length"
         )
-    return GaussianField([named_filter(name, lengths, flat=flat)])
+    return GaussianField([covariance_filter(name, lengths, flat=flat)])
 
 
 def _edges(config: NoiseConfig, spacing: Sequence[float], *, flat: bool) -> tuple[float, ...]:
-    """Lengths along z, y, x; a picture's z stays unused."""
+    """Return the lengths along z, y, x; a picture's z stays unused."""
     if config.length is None:
         return ((1 if config.kind == "white" else _CELL) * max(spacing),) * 3
     if not isinstance(config.length, tuple):
         return (config.length,) * 3
     if not flat and len(config.length) == 2:
         raise InputError(
-            f"length={config.length} has two numbers, as for a picture: give one, or three (z, y, x)"
+            f"length={config.length} has two numbers, as for a picture: give one, or three (z, y, "
+            "x)"
         )
     return (config.length[-1],) * (3 - len(config.length)) + config.length
 
 
 def _check_cells(config: NoiseConfig, lengths: Sequence[float], unit: str) -> None:
+    """Raise where a length is too short in voxels."""
     least, finest = (1 if config.kind == "white" else 2), min(lengths)
     if config.kind == "gaussian":
         least = 1
@@ -147,6 +155,68 @@ def _check_cells(config: NoiseConfig, lengths: Sequence[float], unit: str) -> No
     if finest < least * (1 - 1e-9):
         octave = " in its last octave" if config.kind == "perlin" and config.octaves > 1 else ""
         raise InputError(
-            f"length={config.length} {unit} is {finest:.3g} voxels{octave}, {config.kind} noise needs {least} at least: give a "
-            "longer length, or smaller voxels (spacing)"
+            f"length={config.length} {unit} is {finest:.3g} voxels{octave}, {config.kind} noise "
+            f"needs {least} at least: give a longer length, or smaller voxels (spacing)"
         )
+
+
+def label_by_rank(request: Request, field: Field, phases: Phases, *, outside: int) -> np.ndarray:
+    """Return the labels of a request, with exact volume fractions in its mask.
+
+    Voxels out of the mask are `outside`.
+    """
+    domain = domain_of(request)
+    work = Workspace(stages_of_ranking(field, domain.shape))
+    work.enter("make")
+    result = work.full("labels", phases.labels[-1])
+    numbers = work.empty("numbers")
+    asked = np.ones(1, bool) if request.mask is None else request.mask.reshape(domain.shape)
+    count = result.size if request.mask is None else int(np.count_nonzero(request.mask))
+    ends = np.rint(np.cumsum(phases.fractions) * count).astype(np.int64)
+
+    def keep(piece: tuple[slice, ...], z: int, plane: np.ndarray) -> None:
+        numbers[piece][z] = np.rint(plane)
+
+    for i, label in enumerate(phases.labels[:-1]):
+        work.enter("make")
+        field.each(i, domain, lift_box(tuple((0, side) for side in request.shape)), keep)
+        work.enter("rank")
+        work.adopt("left", (result == phases.labels[-1]) & asked)
+        _label_highest(work, int(ends[i] - (ends[i - 1] if i else 0)), label)
+    if request.mask is not None:
+        result[~asked] = outside
+    return result[0] if domain.flat else result
+
+
+def stages_of_ranking(field: Field, shape: tuple[int, ...]) -> tuple[Stage, ...]:
+    """Return the stages of `label_by_rank` for a domain (Z, Y, X)."""
+    voxels = math.prod(shape)
+    held = {"labels": Array(shape, np.uint8), "numbers": Array(shape, np.int32)}
+    chosen = {
+        "left": Array(shape, bool),
+        "found": Array(voxels, np.uint8, at_most=True),
+        "values": Array(voxels, np.int32, at_most=True),
+        "sorted": Array(voxels, np.int32, at_most=True),
+        "chosen": Array(voxels, bool, at_most=True),
+    }
+    return (
+        Stage("make", held),
+        *within(held, field.stages(shape)),
+        # voxels of one value, as a mask and as indices: white noise has many
+        Stage("rank", {**held, **chosen}, 5 * voxels),
+    )
+
+
+def _label_highest(work: Workspace, count: int, label: int) -> None:
+    """Label the `count` highest "numbers" among the voxels "left", the first of equal ones."""
+    if count == 0:
+        return
+    labels, left = work["labels"], work["left"]
+    values = work.adopt("values", work["numbers"][left])
+    level = work.adopt("sorted", np.partition(values, len(values) - count))[len(values) - count]
+    chosen = work.adopt("chosen", values > level)
+    missing = count - int(np.count_nonzero(chosen))
+    chosen[np.flatnonzero(values == level)[:missing]] = True
+    found = work.adopt("found", labels[left])
+    found[chosen] = label
+    labels[left] = found

@@ -1,7 +1,7 @@
 """Cells of a lattice under the voxels: positions in whole numbers, and a point in every cell.
 
-An edge of a cell is `CELL` steps. Positions, points and what is counted from them are whole numbers
-of steps, so that every box, every cut of it and every processor finds the same.
+An edge of a cell is `CELL` steps. Positions, points and distances are whole numbers of steps, held
+as float64 without rounding, so that every box, every cut of it and every processor finds the same.
 """
 
 from __future__ import annotations
@@ -11,8 +11,47 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trabecula.synth.noise.lattice_kernels import place_points
+from trabecula.engine.compile import inline, kernel
+from trabecula.engine.random import philox
 from trabecula.synth.noise.periodic_domain import Domain
+
+
+@inline
+def wrap(cell, period):
+    """Return a cell's number, wrapped along an axis that repeats (period above 0)."""
+    return cell if period == 0 else cell % period
+
+
+@kernel
+def place_points(place, word, key, first, counts, periods, around, flat, jitter):
+    """Draw a point in every cell and its random word, in the order of the cells.
+
+    A point is at most `jitter` / 2 steps from the middle of its cell.
+    """
+    at = 0
+    for z in range(counts[0]):
+        for y in range(counts[1]):
+            for x in range(counts[2]):
+                cz = wrap(first[0] + z - around[0], periods[0])
+                cy = wrap(first[1] + y - around[1], periods[1])
+                cx = wrap(first[2] + x - around[2], periods[2])
+                w = philox(key, cz, cy, cx, 0)
+                place[at, 0] = (
+                    0
+                    if flat
+                    else (z - around[0]) * 4096 + _inside(w[0] & np.uint64(0xFFFF), jitter)
+                )
+                place[at, 1] = (y - around[1]) * 4096 + _inside(w[0] >> np.uint64(16), jitter)
+                place[at, 2] = (x - around[2]) * 4096 + _inside(w[1] & np.uint64(0xFFFF), jitter)
+                word[at] = np.int64(w[2] >> np.uint64(8))
+                at += 1
+
+
+@inline
+def _inside(bits, jitter):
+    """Return the steps from the corner of a cell."""
+    return 2048 + (((np.int64(bits) - 32768) * jitter) >> 16)
+
 
 CELL = 4096
 """Steps along an edge of a cell."""
@@ -46,22 +85,22 @@ class Axis:
 
     @property
     def cells(self) -> int:
-        """Cells that the voxels lie in."""
+        """Return the number of cells that the voxels lie in."""
         return int(self.at[-1]) // CELL + 1
 
     @property
     def cell(self) -> np.ndarray:
-        """The cell of every voxel, counted from the first."""
+        """Return the cell of every voxel, counted from the first."""
         return (self.at // CELL).astype(np.int64)
 
     @property
     def inside(self) -> np.ndarray:
-        """Where in its cell every voxel is, 0 .. 1."""
+        """Return the position of every voxel in its cell, 0 .. 1."""
         return np.asarray((self.at % CELL) / CELL)
 
 
 @dataclass(frozen=True)
-class Grid:
+class VoxelGrid:
     """Voxels on lattices.
 
     Attributes
@@ -86,17 +125,17 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Voxels along every axis."""
+        """Return the number of voxels along every axis."""
         return tuple(len(place) for place in self.places)
 
-    def part(self, cuts: Sequence[slice]) -> Grid:
-        """Some of the voxels."""
+    def part(self, cuts: Sequence[slice]) -> VoxelGrid:
+        """Return the grid of some of the voxels."""
         return replace(
             self, places=tuple(place[cut] for place, cut in zip(self.places, cuts, strict=True))
         )
 
     def axes(self, finer: int = 1) -> list[Axis]:
-        """The voxels on the lattice, of which every cell is divided into `finer` along every axis.
+        """Return the voxels on the lattice, with every cell divided into `finer` along every axis.
 
         A period is rounded to whole cells before they are divided, to 1 at least.
         """
@@ -108,18 +147,18 @@ class Grid:
 
 
 def shortest(edges: Sequence[float], *, flat: bool) -> float:
-    """The shortest edge of a cell; in a picture of those that it shows."""
+    """Return the shortest edge of a cell; in a picture the shortest edge in its plane."""
     return min(edges[1:] if flat else edges)
 
 
 def grid_of(
     domain: Domain, box: Sequence[tuple[int, int]], step: Sequence[float], edges: Sequence[float]
-) -> Grid:
-    """The voxels of a box."""
+) -> VoxelGrid:
+    """Return the grid of the voxels of a box."""
     periods = tuple(
         side if wraps else 0 for side, wraps in zip(domain.shape, domain.periodic, strict=True)
     )
-    return Grid(
+    return VoxelGrid(
         tuple(np.arange(start, stop) for start, stop in box),
         tuple(step),
         tuple(edges),
@@ -128,20 +167,22 @@ def grid_of(
     )
 
 
-def scattered(
+def scatter_grid(
     step: Sequence[float], edges: Sequence[float], counts: Sequence[int], *, flat: bool
-) -> Grid:
-    """Voxels of the endless material that lie far apart (`APART` of a cell, or next to each other):
-    many cells for few voxels.
+) -> VoxelGrid:
+    """Return a grid of voxels of the endless material far apart: many cells for few voxels.
+
+    They are `APART` of a cell apart, or next to each other.
     """
     places = tuple(
         np.floor(np.arange(count) * max(1.0, APART / width)).astype(np.int64)
         for count, width in zip(counts, step, strict=True)
     )
-    return Grid(places, tuple(step), tuple(edges), (0, 0, 0), flat)
+    return VoxelGrid(places, tuple(step), tuple(edges), (0, 0, 0), flat)
 
 
 def _axis(place: np.ndarray, width: float, period: int, finer: int) -> Axis:
+    """Return the voxels of one axis on the lattice."""
     cells = max(1, round(period * width)) * finer if period else 0
     if period:
         turn, place = np.divmod(place, period)
@@ -175,7 +216,7 @@ class Points:
 
 
 def points_of(axes: Sequence[Axis], key: np.uint64, *, jitter: float, margin: int) -> Points:
-    """The points of all cells that the voxels lie in, and of `margin` cells around them."""
+    """Return the points of all cells that the voxels lie in, and of `margin` cells around them."""
     around = np.array([0 if axis.flat else margin for axis in axes], np.int64)
     counts = np.array([axis.cells for axis in axes], np.int64) + 2 * around
     total = int(counts.prod())

@@ -1,9 +1,8 @@
-"""`noise`: fit chooses a field, generate makes it and cuts it at a level. What fields there are:
-gaussian.py, pattern.py.
+"""`noise`: fit chooses a field, generate makes it and cuts it at a level.
 
-Of several phases one comes after another, each within what the ones before left: the field of a
-phase is independent of the others', so that the conditional S2 (pairs in the phase over pairs in
-what was left) is that of a cut Gaussian field.
+The fields are in gaussian.py and pattern.py. Of several phases one comes after another, each within
+the rest of those before: the field of a phase is independent of the others', so that the
+conditional S2 (pairs in the phase over pairs in the rest) is that of a cut Gaussian field.
 """
 
 from __future__ import annotations
@@ -24,11 +23,17 @@ from trabecula.synth.api.method import Method
 from trabecula.synth.api.windows import WindowModel
 from trabecula.synth.noise import CAPABILITIES
 from trabecula.synth.noise.config import NoiseConfig
-from trabecula.synth.noise.covariance_fit import matched_filters, reach_of
-from trabecula.synth.noise.exact_fractions import ranked, stages_of_ranking
-from trabecula.synth.noise.fields import Field, Phases, chosen, phases_of
+from trabecula.synth.noise.covariance import fit_filters, reach_of
+from trabecula.synth.noise.fields import (
+    Field,
+    Phases,
+    choose_field,
+    label_by_rank,
+    phases_of,
+    stages_of_ranking,
+)
 from trabecula.synth.noise.gaussian import PIECE
-from trabecula.synth.noise.periodic_domain import domain_of, lifted
+from trabecula.synth.noise.periodic_domain import domain_of, lift_box
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _TABLES = 300_000  # bytes of the joint probability's table and what makes it
@@ -45,8 +50,8 @@ class Noise(Method):
         exemplar = exemplars[0]
         if any(1 < side < _LEAST for side in exemplar.shape):
             raise InputError(
-                f"the exemplar is {exemplar.shape}, the two-point function needs {_LEAST} voxels along an axis (or 1, for a "
-                "flat image): give a larger exemplar"
+                f"the exemplar is {exemplar.shape}, the two-point function needs {_LEAST} voxels "
+                "along an axis (or 1, for a flat image): give a larger exemplar"
             )
         return NoiseModel(self.config, exemplars)
 
@@ -54,7 +59,7 @@ class Noise(Method):
         """Forecast the transforms of an indicator, and those of the covariance."""
         values = _volume(exemplars[0].values)
         fixed = {"interpreter and kernels": _PROCESS, "exemplar": 3 * values.size + _TABLES}
-        if not _follows(self.config):
+        if not _fits_covariance(self.config):
             return fixed
         reach = reach_of(values.shape, self.config, flat=exemplars[0].ndim == 2)
         padded = np.prod(
@@ -71,7 +76,7 @@ class Noise(Method):
 
 
 class NoiseModel(WindowModel):
-    """A field, and what is cut out of it.
+    """A field, and the phases that are cut out of it.
 
     Attributes
     ----------
@@ -89,24 +94,24 @@ class NoiseModel(WindowModel):
         self.phases: Phases = phases_of(config, self.facts[0], self.exemplars)
         values = [_volume(exemplar.values) for exemplar in self.exemplars]
         self.filters = (
-            matched_filters(values[0], self.phases.labels, config, flat=self.facts[0].ndim == 2)
-            if values and _follows(config)
+            fit_filters(values[0], self.phases.labels, config, flat=self.facts[0].ndim == 2)
+            if values and _fits_covariance(config)
             else []
         )
         self._fields: dict[bool, Field] = {}
         two = isinstance(config.length, tuple) and len(config.length) == 2
-        # so that what cannot be is told before anything is asked for
+        # so that impossible settings raise before any request
         self._field(two or self.facts[0].ndim == 2)
 
     def _field(self, flat: bool) -> Field:
-        """Of volumes, or of pictures."""
+        """Return the field of volumes, or of pictures."""
         if flat not in self._fields:
-            self._fields[flat] = chosen(self.config, self.facts[0], self.filters, flat=flat)
+            self._fields[flat] = choose_field(self.config, self.facts[0], self.filters, flat=flat)
         return self._fields[flat]
 
     def make_box(self, request: Request, box: Box) -> np.ndarray:
         domain, field, last = domain_of(request), self._field(len(box) == 2), self.phases.labels[-1]
-        box = lifted(box)
+        box = lift_box(box)
         result = np.full([stop - start for start, stop in box], last, np.uint8)
         for i, label in enumerate(self.phases.labels[:-1]):
             level = field.level(i, self.phases.share(i))
@@ -131,26 +136,29 @@ class NoiseModel(WindowModel):
         if not self.config.exact:
             return super().make(request)
         void = self.facts[0].phases.index("void") if "void" in self.facts[0].phases else 0
-        return ranked(request, self._field(len(request.shape) == 2), self.phases, outside=void), {}
+        return label_by_rank(
+            request, self._field(len(request.shape) == 2), self.phases, outside=void
+        ), {}
 
     def memory(self, request: Request) -> Mapping[str, int]:
         if not self.config.exact:
             return super().memory(request)
         field, shape = self._field(len(request.shape) == 2), domain_of(request).shape
-        return forecast(stages_of_ranking(field, shape), self._fixed()).memory
+        return forecast(stages_of_ranking(field, shape), self._constant_bytes()).memory
 
     def _check_windows(self) -> None:
         if self.config.exact:
             raise RequestError(
-                "exact shares are found by rank over all voxels at once, no box of which is made alone: leave exact out"
+                "exact shares are found by rank over all voxels at once, no box of which is made "
+                "alone: leave exact out"
             )
 
     def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
         field = self._field(len(shape) == 2)
         stages = field.stages((1,) * (3 - len(shape)) + tuple(shape))
-        return forecast(stages, self._fixed()).memory
+        return forecast(stages, self._constant_bytes()).memory
 
-    def _fixed(self) -> dict[str, int]:
+    def _constant_bytes(self) -> dict[str, int]:
         """Return the bytes that do not depend on the request."""
         filters = sum(part.values.nbytes for part in self.filters)
         exemplars = sum(image.values.size for image in self.exemplars)
@@ -158,9 +166,10 @@ class NoiseModel(WindowModel):
 
 
 def _volume(values: np.ndarray) -> np.ndarray:
+    """Return a picture as a volume of one plane."""
     return values[None] if values.ndim == 2 else values
 
 
-def _follows(config: NoiseConfig) -> bool:
-    """Whether an exemplar's covariance is followed, where there is an exemplar."""
+def _fits_covariance(config: NoiseConfig) -> bool:
+    """Return whether the field has an exemplar's covariance, where there is an exemplar."""
     return config.kind == "gaussian" and config.covariance == "auto"

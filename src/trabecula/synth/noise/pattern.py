@@ -1,5 +1,6 @@
-"""Patterns on a lattice: made brick by brick in threads, cut at a level that a trial finds or a
-thickness gives.
+"""Patterns on a lattice, made brick by brick in threads, and white noise.
+
+The level at which a pattern is cut follows from a trial, or from a thickness.
 """
 
 from __future__ import annotations
@@ -10,22 +11,62 @@ from itertools import product
 
 import numpy as np
 
+from trabecula.core.seeds import key
 from trabecula.engine.blocks import Box
+from trabecula.engine.compile import kernel
 from trabecula.engine.memory import Stage
 from trabecula.engine.parallel import for_slabs, thread_count
+from trabecula.engine.random import philox
 from trabecula.synth.noise.config import WALLED, NoiseConfig
-from trabecula.synth.noise.convolve import Use
-from trabecula.synth.noise.lattice import APART, CELL, Grid, grid_of, scattered, shortest
-from trabecula.synth.noise.periodic_domain import Domain
+from trabecula.synth.noise.lattice import (
+    APART,
+    CELL,
+    Axis,
+    VoxelGrid,
+    grid_of,
+    scatter_grid,
+    shortest,
+)
+from trabecula.synth.noise.periodic_domain import Domain, Use
 from trabecula.synth.noise.perlin import perlin
 from trabecula.synth.noise.points import WALL, voronoi, voronoi_cells, voronoi_edges, worley
-from trabecula.synth.noise.white import white
 
-Fill = Callable[[np.ndarray, Grid, int, NoiseConfig, float], None]
-"""Writes whole numbers, high where void is, into (Z, Y, X) int32: those of the grid's voxels for a
-seed.
 
-Above the last argument any number above it will do.
+@kernel
+def cube_words(values, key, cz, cy, cx):
+    """Fill (Z, Y, X) int32 with random whole numbers 0 .. 2**31 - 1 of the voxels' cubes.
+
+    One draw serves four cubes.
+    """
+    for z in range(values.shape[0]):
+        for y in range(values.shape[1]):
+            group = np.int64(-1) << np.int64(40)
+            w = philox(key, 0, 0, 0, 0)
+            row = values[z, y]
+            for x in range(len(row)):
+                cell = cx[x]
+                if cell >> 2 != group:
+                    group = cell >> 2
+                    w = philox(key, cz[z], cy[y], group, 0)
+                at = cell & 3
+                word = w[0] if at == 0 else w[1] if at == 1 else w[2] if at == 2 else w[3]
+                row[x] = np.int32(word >> np.uint64(1))
+
+
+def white(values: np.ndarray, grid: VoxelGrid, seed: int, config: NoiseConfig, most: float) -> None:
+    """Fill `values` (Z, Y, X) int32 with a random number of every cube, 0 .. 2**31 - 1."""
+    cube_words(values, key(seed, "noise/white"), *(_cube_numbers(axis) for axis in grid.axes()))
+
+
+def _cube_numbers(axis: Axis) -> np.ndarray:
+    """Return the cube of every voxel, wrapped along an axis that repeats."""
+    cells = axis.first + axis.cell
+    return cells % axis.period if axis.period else cells
+
+
+Fill = Callable[[np.ndarray, VoxelGrid, int, NoiseConfig, float], None]
+"""Function that writes the numbers of a grid's voxels for a seed into (Z, Y, X) int32, high where
+void is. Above the last argument any number above it will do.
 """
 
 PATTERNS: dict[str, tuple[Fill, int]] = {
@@ -36,8 +77,8 @@ PATTERNS: dict[str, tuple[Fill, int]] = {
     "white": (white, 1 << 31),
     "worley": (worley, 0),
 }
-"""What fills a pattern, and how many numbers it chooses from, each as often; 0 where a trial has to
-tell.
+"""Function of a pattern, and the count of its numbers, all equally frequent; 0 where only a trial
+finds the level.
 """
 
 _BRICK = (32, 64, 256)
@@ -54,7 +95,7 @@ _POINT = {
 }  # bytes a point in a brick and around it
 
 
-class Lattice:
+class LatticePattern:
     """One pattern.
 
     Parameters
@@ -78,22 +119,20 @@ class Lattice:
     def each(
         self, number: int, domain: Domain, box: Box, use: Use, *, most: float = np.inf
     ) -> None:
-        """The pattern in a box: `use(piece, z, plane)` gets its planes brick by brick."""
+        """Make the pattern in a box: `use(piece, z, plane)` gets its planes brick by brick."""
         whole, sides = grid_of(domain, box, self.step, self.edges), _sides(self.config, self.step)
 
         def slab(start: int, stop: int) -> None:
             for brick in _bricks((stop - start, *whole.shape[1:]), sides):
                 piece = (slice(start + brick[0].start, start + brick[0].stop), *brick[1:])
-                values = _filled(self.config, whole.part(piece), domain.seed, most)
+                values = _fill(self.config, whole.part(piece), domain.seed, most)
                 for z, plane in enumerate(values):
                     use(piece, z, plane)
 
         for_slabs(slab, whole.shape[0])
 
     def level(self, number: int, share: float) -> float:
-        """The level above which the pattern has the share, or which leaves walls of the thickness
-        that was asked for.
-        """
+        """Return the level for a share above it, or for the thickness of the settings."""
         if self.config.thickness is not None:
             return float(
                 np.floor(
@@ -102,7 +141,7 @@ class Lattice:
             )
         if self._choices:
             return round((1 - share) * self._choices) - 0.5
-        return tried_level(self.config, self.step, self.edges, share, flat=self.flat)
+        return trial_level(self.config, self.step, self.edges, share, flat=self.flat)
 
     def stages(self, shape: Sequence[int]) -> tuple[Stage, ...]:
         """Return the stages of making a box (Z, Y, X): bricks, and the trial that finds a level."""
@@ -118,7 +157,7 @@ class Lattice:
 
 
 @lru_cache(maxsize=64)
-def tried_level(
+def trial_level(
     config: NoiseConfig,
     step: tuple[float, ...],
     edges: tuple[float, ...],
@@ -126,23 +165,24 @@ def tried_level(
     *,
     flat: bool,
 ) -> float:
-    """The level above which a pattern has the share: from many cells, always the same ones."""
-    grid, values = scattered(step, edges, _TRIAL[flat], flat=flat), []
+    """Return the level above which a pattern has the share, from the same many cells always."""
+    grid, values = scatter_grid(step, edges, _TRIAL[flat], flat=flat), []
     for brick in _bricks(grid.shape, _sides(config, [max(width, APART) for width in step])):
-        values.append(_filled(config, grid.part(brick), _TRIAL_SEED, np.inf).ravel())
+        values.append(_fill(config, grid.part(brick), _TRIAL_SEED, np.inf).ravel())
     found = np.concatenate(values)
     place = min(max(round((1 - share) * len(found)), 1), len(found) - 1)
     return float(np.partition(found, place)[place]) - 0.5
 
 
-def _filled(config: NoiseConfig, grid: Grid, seed: int, most: float) -> np.ndarray:
+def _fill(config: NoiseConfig, grid: VoxelGrid, seed: int, most: float) -> np.ndarray:
+    """Return the numbers of a pattern on a grid."""
     values = np.empty(grid.shape, np.int32)
     PATTERNS[config.kind][0](values, grid, seed, config, most)
     return values
 
 
 def _sides(config: NoiseConfig, step: Sequence[float]) -> tuple[int, ...]:
-    """Of a brick, voxels."""
+    """Return the sides of a brick in voxels."""
     if config.kind not in WALLED:
         return _BRICK
     return tuple(
@@ -152,12 +192,14 @@ def _sides(config: NoiseConfig, step: Sequence[float]) -> tuple[int, ...]:
 
 
 def _brick_bytes(config: NoiseConfig, sides: Sequence[int], step: Sequence[float]) -> int:
+    """Return the memory of making a brick."""
     cells = [int(side * width) + 10 for side, width in zip(sides, step, strict=True)]
     voxel, point = _HELD.get(config.kind, _VOXEL), _POINT.get(config.kind, 0)
     return voxel * int(np.prod(sides)) + point * int(np.prod(cells))
 
 
 def _bricks(shape: Sequence[int], sides: Sequence[int]) -> Iterator[tuple[slice, ...]]:
+    """Return the bricks of a box."""
     cuts = [
         [slice(first, min(first + side, end)) for first in range(0, end, side)]
         for end, side in zip(shape, sides, strict=True)

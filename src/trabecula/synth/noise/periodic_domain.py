@@ -1,9 +1,11 @@
-"""What is filled: a request's box in three axes, whether it is a volume or a picture."""
+"""Domain of a request in three axes, of a volume or a picture."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from trabecula.core.request import Request
 
@@ -18,7 +20,7 @@ class Domain:
     periodic : three bools
     seed : int
     flat : bool
-        Whether a picture was asked for.
+        Whether the request is a picture.
     """
 
     shape: tuple[int, ...]
@@ -28,7 +30,7 @@ class Domain:
 
 
 def domain_of(request: Request) -> Domain:
-    """The domain of a request, 2-D or 3-D."""
+    """Return the domain of a request, 2-D or 3-D."""
     missing = 3 - len(request.shape)
     return Domain(
         (1,) * missing + request.shape,
@@ -38,6 +40,10 @@ def domain_of(request: Request) -> Domain:
     )
 
 
-def lifted(box: Sequence[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """A box in three axes."""
+def lift_box(box: Sequence[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+    """Return a box in three axes."""
     return ((0, 1),) * (3 - len(box)) + tuple(box)
+
+
+Use = Callable[[tuple[slice, ...], int, np.ndarray], None]
+"""Gets a piece of the result, a plane of it by its number, and what was found there."""

@@ -139,7 +139,8 @@ class SlicedModel(PictureModel):
         values = self.content.to_values(votes, request)
         if not self.config.specks:
             return values
-        votes = remove_specks(votes, values, self.content.present, self.config.specks)  # type: ignore[attr-defined]
+        present = self.content.present  # type: ignore[attr-defined]
+        votes = remove_specks(votes, values, present, self.config.specks)
         del values
         return self.content.to_values(votes, request)
 

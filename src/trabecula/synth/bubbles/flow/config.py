@@ -14,7 +14,7 @@ from trabecula.synth.bubbles.flow.systems import NONE, condition_of, system_of
 
 @dataclass(frozen=True)
 class FlowConfig:
-    """Where bubbles are pushed to, and where none grow."""
+    """Direction of the bubbles, and the crust without bubbles."""
 
     flow: Any = "none"
     """What bubbles stretch along: "none"; a system by name: concentric, elliptic, spiral, roll,
@@ -86,22 +86,23 @@ class FlowConfig:
                 self._keep(name, as_number(getattr(self, name), name=name, low=0, high=1e20))
 
     def _keep(self, name: str, value: Any) -> None:
+        """Set a checked value."""
         object.__setattr__(self, name, value)
 
-    def directed(self, *, masked: bool) -> bool:
-        """Whether there is a direction anywhere, in a request with a mask or without."""
+    def has_direction(self, *, masked: bool) -> bool:
+        """Return whether a request, with a mask or without, has a direction anywhere."""
         flows = [self.flow, *(flow for _, flow in self.flow_regions)]
         outlined = masked and self.flow_length("silhouette", distance=1.0) > 0
         return bool(self.flow_aspect) or outlined or any(flow != NONE for flow in flows)
 
     def flow_length(self, name: str, distance: float) -> float:
-        """`silhouette` or `crust` as a length, where bubbles are `distance` apart."""
+        """Return `silhouette` or `crust` as a length, where bubbles are `distance` apart."""
         given = getattr(self, name)
         return float(getattr(self, f"{name}_share") * distance if given is None else given)
 
 
 def as_flow(value: Any, *, name: str) -> str:
-    """A flow that can be made: plain text, or text that carries an array or a function."""
+    """Check a flow: plain text, or text that carries an array or a function."""
     found = as_given(value, name=name)
     flow = value if found is None else found
     system_of(flow, name=name)
@@ -109,12 +110,14 @@ def as_flow(value: Any, *, name: str) -> str:
 
 
 def _as_regions(value: Any) -> tuple[tuple[str, str], ...]:
+    """Check pairs of a condition and a flow."""
     pairs = tuple(value) if isinstance(value, (list, tuple)) else None
     if pairs is None or not all(
         isinstance(pair, (list, tuple)) and len(pair) == 2 for pair in pairs
     ):
         raise InputError(
-            f"flow_regions={value!r} should be pairs of a condition and a flow, [['z > 0', 'radial'], ...]"
+            f"flow_regions={value!r} should be pairs of a condition and a flow, [['z > 0', "
+            "'radial'], ...]"
         )
     for where, _ in pairs:
         condition_of(where)
@@ -122,6 +125,7 @@ def _as_regions(value: Any) -> tuple[tuple[str, str], ...]:
 
 
 def _as_labels(value: Any) -> str | None:
+    """Check an array of labels, or a file of them."""
     if value is None:
         return None
     given = as_given(value, name="flow_labels")
@@ -129,6 +133,7 @@ def _as_labels(value: Any) -> str | None:
         raise InputError(f"flow_labels={value!r} should be a file of labels, an array or an Image")
     if given.array.dtype.kind not in "biu" or given.array.ndim not in (2, 3):
         raise InputError(
-            f"flow_labels holds {given.array.dtype} of shape {given.array.shape}: give whole numbers, (Z, Y, X) or (Y, X)"
+            f"flow_labels holds {given.array.dtype} of shape {given.array.shape}: give whole "
+            "numbers, (Z, Y, X) or (Y, X)"
         )
     return given

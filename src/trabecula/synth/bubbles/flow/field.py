@@ -1,16 +1,15 @@
-"""`Flow`: which way bubbles stretch at any voxel, and where they may grow; slice by slice, and only
-where it is asked for.
+"""`Flow`: direction of bubbles and room for them at any voxel, slice by slice and on demand.
 
-What a slice says, later lines over earlier ones:
+Later rules of a slice go before earlier ones:
 
 1. the flow of the settings, about the slice's centre; in a wide or tall slice the horizontal or
-vertical one, where asked for;
-2. the flows of regions;
-3. near the border of the mask the outline.
+vertical one, with `flow_aspect`; 2. the flows of regions; 3. near the border of the mask the
+outline.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,12 +18,11 @@ from trabecula.core.checks import as_spacing
 from trabecula.core.errors import InputError
 from trabecula.engine.blocks import Box
 from trabecula.synth.bubbles.flow.config import FlowConfig
-from trabecula.synth.bubbles.flow.frames import Frames
 from trabecula.synth.bubbles.flow.given import Given
-from trabecula.synth.bubbles.flow.room import Room
-from trabecula.synth.bubbles.flow.slices import ORDER, Slice, Slices
-from trabecula.synth.bubbles.flow.step import packed, step_direction
-from trabecula.synth.bubbles.flow.systems import System, condition_of, system_of
+from trabecula.synth.bubbles.flow.room import MARGIN, SLAB, Room
+from trabecula.synth.bubbles.flow.slices import KEPT, ORDER, MaskSlices, Slice, cell_of
+from trabecula.synth.bubbles.flow.step import pack_int8, step_direction
+from trabecula.synth.bubbles.flow.systems import Frames, System, condition_of, system_of
 
 Centre = tuple[np.ndarray | float, np.ndarray | float]
 
@@ -37,7 +35,7 @@ def flow_of(
     *,
     distance: float = 1.0,
 ) -> Flow | None:
-    """The flow of a request; None where bubbles grow everywhere, and alike in all directions.
+    """Return the flow of a request; None where bubbles grow everywhere and alike in all directions.
 
     Parameters
     ----------
@@ -66,12 +64,13 @@ def flow_of(
         0.0 if mask is None else config.flow_length(name, distance)
         for name in ("silhouette", "crust")
     )
-    if not crust and not config.directed(masked=mask is not None):
+    if not crust and not config.has_direction(masked=mask is not None):
         return None
     edges = as_spacing(spacing, ndim=len(shape))
     if isinstance(config.flow_labels, Given) and _labels(config).ndim != len(shape):
         raise InputError(
-            f"flow_labels has shape {_labels(config).shape}, the request {tuple(shape)}: give as many axes as the request"
+            f"flow_labels has shape {_labels(config).shape}, the request {tuple(shape)}: give as "
+            "many axes as the request"
         )
     return Flow(config, tuple(shape), edges, mask, silhouette=silhouette, crust=crust)
 
@@ -110,7 +109,7 @@ class Flow:
         )
 
     def directions(self, box: Box, step: int = 1) -> np.ndarray:
-        """The way that bubbles stretch, at every voxel of a box or at every `step`-th.
+        """Return the direction of bubbles at every voxel of a box or at every `step`-th.
 
         Parameters
         ----------
@@ -134,45 +133,47 @@ class Flow:
         return np.ascontiguousarray(found[0, ..., 1:]) if self._flat else found
 
     def room(self, box: Box) -> np.ndarray | None:
-        """Which voxels of a box bubbles may grow in, a bool array of its size; None where there is
-        no crust.
-        """
+        """Return a bool mask of the room for bubbles in a box; None without a crust."""
         return None if self._room is None else self._room(box)
 
-    def _slices_of(self, mask: np.ndarray | None, silhouette: float) -> Slices | None:
+    def _slices_of(self, mask: np.ndarray | None, silhouette: float) -> MaskSlices | None:
+        """Return the slices of a mask; None without one."""
         if mask is None:
             return None
         turned = (mask[None] if self._flat else mask).transpose(self._order)
-        return Slices(
-            turned, self._edges, pieces=self._config.flow_centre == "piece", silhouette=silhouette
+        return MaskSlices(
+            turned,
+            self._edges,
+            by_component=self._config.flow_centre == "piece",
+            silhouette=silhouette,
         )
 
     def _slice(
         self, place: int, tall: np.ndarray, wide: np.ndarray, known: dict[object, np.ndarray]
     ) -> np.ndarray:
-        """Vectors of one slice, (rows, columns, 3) along the slices' order of axes."""
+        """Return the vectors of one slice, (rows, columns, 3) along the slices' order of axes."""
         form = None if self._slices is None else self._slices[place]
-        system, centre = self._chosen(form), self._centre(form, tall, wide)
+        system, centre = self._choose_system(form), self._centre(form, tall, wide)
         alike = not self._regions and (
             system is None or (system.frame == "slice" and "z" not in system.names)
         )
         key = (system, centre) if alike and not isinstance(centre[0], np.ndarray) else None
         if key is None or key not in known:
             known.clear()  # the last one is enough: slices follow each other
-            vectors = self._flowing(system, place, tall, wide, centre)
+            vectors = self._directions_of(system, place, tall, wide, centre)
             for where, other in reversed(self._regions):
-                inside = self._holds(where, place, tall, wide)
-                there = self._flowing(other, place, tall, wide, centre)
+                inside = self._inside_region(where, place, tall, wide)
+                there = self._directions_of(other, place, tall, wide, centre)
                 vectors = np.where(inside[..., None], there, vectors)
-            known[key] = packed(vectors)
+            known[key] = pack_int8(vectors)
         return (
             known[key]
             if form is None or form.outline is None
-            else self._outlined(known[key], form, tall, wide)
+            else self._follow_outline(known[key], form, tall, wide)
         )
 
-    def _chosen(self, form: Slice | None) -> System | None:
-        """The flow of a slice, by its shape where that is asked for."""
+    def _choose_system(self, form: Slice | None) -> System | None:
+        """Return the flow of a slice, by its shape with `flow_aspect`."""
         ratio = self._config.flow_aspect
         if not ratio:
             return self._system
@@ -185,34 +186,34 @@ class Flow:
         return self._tall if height >= ratio * width else self._system
 
     def _centre(self, form: Slice | None, tall: np.ndarray, wide: np.ndarray) -> Centre:
-        """Where x and y are 0, as lengths from the corner of the slice."""
+        """Return the origin of x and y, as lengths from the corner of the slice."""
         if form is None or self._config.flow_centre == "box":
             down, right = (self._frames.middle[axis] for axis in self._order[1:])
             return down, right
-        if form.pieces is None:
+        if form.centres is None:
             return form.centre[0] * self._edges[0], form.centre[1] * self._edges[1]
         rows, columns = (
             np.clip(nodes, 0, side - 1)
-            for nodes, side in zip((tall, wide), form.pieces[0].shape, strict=True)
+            for nodes, side in zip((tall, wide), form.centres[0].shape, strict=True)
         )
-        down, right = (part[np.ix_(rows, columns)] for part in form.pieces)
+        down, right = (part[np.ix_(rows, columns)] for part in form.centres)
         return down * self._edges[0], right * self._edges[1]
 
-    def _flowing(
+    def _directions_of(
         self, system: System | None, place: int, tall: np.ndarray, wide: np.ndarray, centre: Centre
     ) -> np.ndarray:
-        """Directions of a system in a slice, (rows, columns, 3) float64."""
+        """Return the directions of a system in a slice, (rows, columns, 3) float64."""
         found = np.zeros((len(tall), len(wide), 3))
         if system is not None:
             point = self._frames.points(place, tall, wide)
             velocity = self._frames.velocity(system, centre)
             for axis, part in enumerate(step_direction(velocity, point, self._step)):
-                # some are the same all over the slice
+                # some are constant over the slice
                 found[..., axis] = part if part.ndim < 3 else part[0]
         return found
 
-    def _holds(self, where, place: int, tall: np.ndarray, wide: np.ndarray) -> np.ndarray:
-        """Where a region lies in a slice, (rows, columns) bool."""
+    def _inside_region(self, where, place: int, tall: np.ndarray, wide: np.ndarray) -> np.ndarray:
+        """Return a mask of a region in a slice, (rows, columns) bool."""
         z, y, x = self._frames.of_volume(self._frames.points(place, tall, wide))
         label: np.ndarray | float = 0.0
         if self._labels is not None:
@@ -220,10 +221,10 @@ class Flow:
         holds = np.nan_to_num(where(z=z, y=y, x=x, label=label)) != 0
         return np.broadcast_to(holds, (1, len(tall), len(wide)))[0]
 
-    def _outlined(
+    def _follow_outline(
         self, vectors: np.ndarray, form: Slice, tall: np.ndarray, wide: np.ndarray
     ) -> np.ndarray:
-        """Vectors of a slice, those near its border along it."""
+        """Return the vectors of a slice, turned along its border near to it."""
         assert form.outline is not None and self._slices is not None
         sides = self._slices.shape
         inside = [
@@ -241,11 +242,73 @@ class Flow:
         return found
 
     def _solid(self, values, default):
-        """What is told for each axis, for three axes."""
+        """Extend the values of a picture by the default for z."""
         return (default, *values) if self._flat else tuple(values)
 
 
 def _labels(config: FlowConfig) -> np.ndarray:
+    """Return the array of labels of the settings."""
     array = config.flow_labels.array
     assert array is not None  # checked by the config
     return array
+
+
+_OWN = 1000  # bytes of a stored slice beside its arrays
+_STEP = 340  # bytes a node of a slice during the Runge-Kutta step
+_COMPONENTS = 60  # bytes a voxel of a slice during the labelling of its components
+_DISTANCE = 7  # bytes a voxel of a slab during the distance transform
+_LEAST = 100_000
+
+
+def bytes_of_flow(
+    config: FlowConfig,
+    shape: Sequence[int],
+    spacing: float | Sequence[float],
+    *,
+    masked: bool,
+    distance: float = 1.0,
+    step: int = 1,
+) -> int:
+    """Return the memory of the flow of a request beside its directions, 3 bytes a node.
+
+    Parameters
+    ----------
+    config, shape, spacing, distance : as of `flow_of`
+    masked : bool
+        Whether there is a mask.
+    step : int
+        Voxels from node to node.
+    """
+    edges = as_spacing(spacing, ndim=len(shape))
+    silhouette, crust = (
+        config.flow_length(name, distance) if masked else 0.0 for name in ("silhouette", "crust")
+    )
+    flat = len(shape) == 2
+    along, tall, wide = (
+        (1, *shape)[axis] if flat else shape[axis]
+        for axis in ORDER["z" if flat else config.flow_axis]
+    )
+    voxels = tall * wide
+    work = _STEP * voxels / step**2
+    kept = 0.0
+    if masked:
+        each: float = _OWN
+        if silhouette:
+            every, cells = cell_of(silhouette / min(edges))
+            around = (tall / every + 2 * cells) * (wide / every + 2 * cells)
+            each += 2 * voxels / every**2
+            work += 64 * around
+        if config.flow_centre == "piece":
+            each += 8 * voxels
+            work += _COMPONENTS * voxels
+        kept = min(KEPT + each, math.ceil(along / step) * each)
+        work += 3 * voxels
+    return int(work + kept + (_of_room(shape, crust, edges) if crust else 0)) + _LEAST
+
+
+def _of_room(shape: Sequence[int], crust: float, edges: Sequence[float]) -> float:
+    """Return the memory of one bit a voxel, and of a slab while its distances are found."""
+    margin = [2 * (math.ceil(crust / edge) + MARGIN) for edge in edges]
+    first = min(SLAB, shape[0]) if len(shape) == 3 else shape[0]
+    slab = [side + far for side, far in zip((first, *shape[1:]), margin, strict=True)]
+    return math.prod(shape) / 8 + _DISTANCE * math.prod(slab) + 2 * first * math.prod(shape[1:])

@@ -1,9 +1,9 @@
 """Settings that are more than a word: a file of numbers, an array, a function.
 
-A setting has to fit into a recipe, which is plain JSON. So each of these is a text that says what
-it is, and carries the thing itself beside the text: "field.npy#sha256=..." is read again by whoever
-makes the material again, and checked; of an array or a function in memory the text can only say
-that it was one.
+A setting has to fit into a recipe, which is plain JSON. So each of these is a descriptive text that
+carries the object itself beside it: "field.npy#sha256=..." is read and checked again by whoever
+makes the material again; for an array or a function in memory the text can only say that it was
+one.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from trabecula.io import files
 
 MARK = "#sha256="
 _ARRAY, _FUNCTION = "an array in memory, SHA-256 ", "a function in memory, "
-_PROBES = 5  # points along an axis at which a function's values tell it from another
+_PROBES = 5  # points along an axis at which a function's values identify it
 
 
 class Given(str):
-    """A text for the recipe, with what it stands for.
+    """A text for the recipe, with the object behind it.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class Given(str):
     function: Callable[..., Any] | None = None
 
     def __deepcopy__(self, memo: Any) -> Given:
-        return self  # settings are copied wherever they are told, and an array may be large
+        return self  # settings are copied often, and an array may be large
 
 
 def as_given(value: Any, *, name: str) -> Given | None:
-    """What a setting holds beside plain text, or None where it is plain text (a name, a formula).
+    """Return the object behind a setting, or None where it is plain text (a name, a formula).
 
     Raises
     ------
@@ -56,10 +56,10 @@ def as_given(value: Any, *, name: str) -> Given | None:
         return value
     if isinstance(value, (Image, np.ndarray)):
         array = _numbers(value.values if isinstance(value, Image) else value, name=name)
-        return _given(_ARRAY + digest(array), array=array)
+        return _make_given(_ARRAY + digest(array), array=array)
     if callable(value):
-        return _given(
-            f"{_FUNCTION}{_name_of(value)}, SHA-256 of its values {_probed(value, name)}",
+        return _make_given(
+            f"{_FUNCTION}{_name_of(value)}, SHA-256 of its values {_probe_digest(value, name)}",
             function=value,
         )
     if isinstance(value, os.PathLike):
@@ -71,7 +71,8 @@ def as_given(value: Any, *, name: str) -> Given | None:
     if value.startswith((_ARRAY, _FUNCTION)):
         what = "array" if value.startswith(_ARRAY) else "function"
         raise InputError(
-            f"{name} was {value}: nothing says how to make it again; give the {what} as {name}, or its file"
+            f"{name} was {value}: nothing says how to make it again; give the {what} as {name}, "
+            "or its file"
         )
     is_file = MARK in value or Path(value).suffix.lower() in (
         ".npy",
@@ -85,7 +86,7 @@ def as_given(value: Any, *, name: str) -> Given | None:
 
 
 def _read(text: str, *, name: str) -> Given:
-    """A file's numbers; a text with a SHA-256 has to be those."""
+    """Read the numbers of a file, and check them against a SHA-256 in the text."""
     path, _, expected = text.partition(MARK)
     try:
         array = (
@@ -100,13 +101,14 @@ def _read(text: str, *, name: str) -> Given:
     found = digest(array)
     if expected and found != expected:
         raise FileError(
-            f"{name}={path} holds other numbers (SHA-256 {found[:12]}) than the recipe says ({expected[:12]})"
+            f"{name}={path} holds other numbers (SHA-256 {found[:12]}) than the recipe says "
+            f"({expected[:12]})"
         )
-    return _given(f"{path}{MARK}{found}", array=array)
+    return _make_given(f"{path}{MARK}{found}", array=array)
 
 
 def _field_of(path: str, name: str) -> np.ndarray:
-    """A plain array: a field of vectors has an axis more than an image."""
+    """Read a plain array: a field of vectors has an axis more than an image."""
     try:
         with Path(path).open("rb") as file:
             return _numbers(np.load(file, allow_pickle=False), name=name)
@@ -119,6 +121,7 @@ def _field_of(path: str, name: str) -> np.ndarray:
 
 
 def _numbers(array: Any, *, name: str) -> np.ndarray:
+    """Check that an array holds finite numbers."""
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
         raise InputError(
             f"{name} holds {getattr(array, 'dtype', type(array).__name__)}: numbers are needed"
@@ -127,29 +130,31 @@ def _numbers(array: Any, *, name: str) -> np.ndarray:
     return array
 
 
-def _given(
+def _make_given(
     text: str, *, array: np.ndarray | None = None, function: Callable[..., Any] | None = None
 ) -> Given:
+    """Build the text with its array or function."""
     made = Given(text)
     made.array, made.function = array, function
     return made
 
 
 def _name_of(function: Callable[..., Any]) -> str:
+    """Return the name of a function."""
     return str(getattr(function, "__qualname__", type(function).__name__))
 
 
-def _probed(function: Callable[..., Any], name: str) -> str:
-    """A digest of a function's values on a lattice of points: of another function it is another."""
+def _probe_digest(function: Callable[..., Any], name: str) -> str:
+    """Return a digest of a function's values at fixed points, to identify it."""
     at = np.linspace(-1.0, 1.0, _PROBES)
     z, y, x = (part.ravel() for part in np.meshgrid(at, at, at, indexing="ij"))
-    return digest(called(function, z, y, x, name=name))[:12]
+    return digest(call_function(function, z, y, x, name=name))[:12]
 
 
-def called(
+def call_function(
     function: Callable[..., Any], z: np.ndarray, y: np.ndarray, x: np.ndarray, *, name: str
 ) -> np.ndarray:
-    """The vectors (z, y, x) of a user's function at points, (3, ...) float64.
+    """Return the vectors (z, y, x) of a user's function at points, (3, ...) float64.
 
     Raises
     ------
@@ -161,7 +166,7 @@ def called(
         z1, y1, x1 = (np.broadcast_to(np.asarray(part, np.float64), z.shape) for part in found)
     except (TypeError, ValueError):
         raise InputError(
-            f"the function {_name_of(function)} ({name}) takes arrays z, y, x and returns three arrays of their shape, "
-            f"the velocities along z, y and x: got {type(found).__name__}"
+            f"the function {_name_of(function)} ({name}) takes arrays z, y, x and returns three "
+            f"arrays of their shape, the velocities along z, y and x: got {type(found).__name__}"
         ) from None
     return np.stack([z1, y1, x1])

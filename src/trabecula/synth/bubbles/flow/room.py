@@ -1,4 +1,4 @@
-"""The crumb: the form without its crust, where bubbles may grow."""
+"""Room for bubbles: the form without its crust."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from trabecula.core.errors import InputError
 from trabecula.engine.blocks import Box, slices_of
 from trabecula.measure.distance import distance_transform
 
-SLAB = 64  # voxels along z whose distances are held at once
-MARGIN = 2  # voxels around what distances are found of, beside the crust's own
+SLAB = 64  # planes along z in one distance transform
+MARGIN = 2  # voxels around a part for its distance transform, beside the crust's own
 
 
 class Room:
-    """The crumb of a form, found slab by slab where it is asked for, and kept in one bit a voxel.
+    """Voxels of a form below its crust, found slab by slab on demand, and kept in one bit a voxel.
 
     Parameters
     ----------
     mask : (Z, Y, X) or (Y, X) bool array
-        The form; beyond the array is nothing of it.
+        The form; it ends at the faces of the array.
     crust : float
         Depth below the surface, above 0; the surface lies half a voxel before the first centre
         outside.
@@ -40,8 +40,9 @@ class Room:
         self._check()
 
     def __call__(self, box: Box) -> np.ndarray:
-        """Which voxels of a box lie deeper than the crust, a bool array of its size; the box may
-        reach beyond the mask.
+        """Return a mask of the voxels of a box deeper than the crust, bool of its size.
+
+        The box may reach beyond the mask.
         """
         found = np.zeros([stop - start for start, stop in box], bool)
         inside = [
@@ -64,16 +65,18 @@ class Room:
     def _check(self) -> None:
         """Raise where the crust leaves nothing of the form."""
         areas = self._mask.reshape(len(self._mask), -1).sum(axis=1)
-        # The slice that holds most tells nearly always.
+        # The slab of the fullest slice nearly always decides.
         first = int(areas.argmax()) // self._slab
         count = -(-len(self._mask) // self._slab)
         if not any(self._bits(number).any() for number in (first, *range(count))):
             raise InputError(
-                f"the mask has no room: no voxel lies deeper in it than its crust of {self._crust:g}; take a thinner crust, or "
-                "a larger form (a shape scales a surface to it)"
+                "the mask has no room: no voxel lies deeper in it than its crust of "
+                f"{self._crust:g}; take a thinner crust, or a larger form (a shape scales a "
+                "surface to it)"
             )
 
     def _bits(self, number: int) -> np.ndarray:
+        """Return the packed room of a slab."""
         if number not in self._known:
             ends = (number * self._slab, min((number + 1) * self._slab, len(self._mask)))
             box = (ends, *((0, side) for side in self._mask.shape[1:]))
@@ -84,9 +87,7 @@ class Room:
 
 
 def room_of(mask: np.ndarray, box: Box, crust: float, spacing: tuple[float, ...]) -> np.ndarray:
-    """Which voxels of a box inside the mask's array lie deeper in the form than `crust` (see
-    `Room`).
-    """
+    """Return a mask of the voxels of a box deeper in the form than `crust` (see `Room`)."""
     found = np.zeros([stop - start for start, stop in box], bool)
     held = _around(mask, box, crust, spacing)
     if held is not None:
@@ -100,8 +101,9 @@ def room_of(mask: np.ndarray, box: Box, crust: float, spacing: tuple[float, ...]
 def _around(
     mask: np.ndarray, box: Box, crust: float, spacing: tuple[float, ...]
 ) -> tuple[np.ndarray, Box] | None:
-    """The room of the smallest part of a box that holds all of the form in it, and that part; None
-    where there is none.
+    """Return the room of the smallest part of a box that holds the form in it, and that part.
+
+    None where the box holds nothing of the form.
     """
     form = mask[slices_of(box)]
     part = []
@@ -121,7 +123,7 @@ def _around(
 
 
 def cut(mask: np.ndarray, box: list[tuple[int, int]]) -> np.ndarray:
-    """A box of a mask, False beyond it."""
+    """Return a box of a mask, False beyond it."""
     inside = [
         (max(a, 0), max(max(a, 0), min(b, side)))
         for (a, b), side in zip(box, mask.shape, strict=True)

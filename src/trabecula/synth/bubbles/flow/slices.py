@@ -1,41 +1,117 @@
-"""Slices of a form across the principal axis: centres of mass, sizes, outlines; each found once
-where it is asked for.
+"""Slices of a form across the principal axis: centres of mass, sizes, outlines, each on demand.
 
 A slice is (rows, columns) of voxels; its x runs along the columns, its y along the rows.
+
+To follow an outline, the slice is blurred; its gradient turned by 90 degrees runs along the border.
+The blur is the mean over a disc, whose radius is the thickness of the zone: deeper than that the
+gradient is exactly 0 and the zone ends (section 3.4: the kernel's size is the thickness of the
+border). All sums are whole numbers. Thick zones are found on cells of several voxels.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from trabecula.measure.labelling import label_components
-from trabecula.synth.bubbles.flow.outline import along_outline, held_of
-from trabecula.synth.bubbles.flow.step import packed, unit
+from trabecula.synth.bubbles.flow.step import pack_int8, unit
+
+_FINE = 8  # cells that a zone is thick, at least, where it is not thinner in voxels
+
+
+def along_outline(plane: np.ndarray, thickness: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return vectors along the border of a slice, 0 where none is near.
+
+    Parameters
+    ----------
+    plane : (V, U) bool array
+        Nothing of the form lies beyond it.
+    thickness : float
+        Voxels from the border up to which it is followed, above 0.
+
+    Returns
+    -------
+    rows, columns : float64 arrays, one value a cell
+        Whole numbers, of no particular length; the sense is that of x' = -y, y' = x about a place
+        inside.
+    every : int
+        Voxels along the edge of a cell.
+    """
+    every, cells = cell_of(thickness)
+    counts = _counts(plane, every)
+    rows, columns = np.zeros((2, *counts.shape))
+    held = bounding_slices(counts)
+    smooth = _disc_sums(np.pad(counts[held], cells), cells - 1)
+    rows[held] = -(smooth[1:-1, 2:] - smooth[1:-1, :-2])
+    columns[held] = smooth[2:, 1:-1] - smooth[:-2, 1:-1]
+    return rows, columns, every
+
+
+def cell_of(thickness: float) -> tuple[int, int]:
+    """Return the voxels along the edge of a cell, and the thickness of a zone in cells."""
+    every = max(1, int(thickness / _FINE))
+    return every, max(1, round(thickness / every))
+
+
+def _counts(plane: np.ndarray, every: int) -> np.ndarray:
+    """Return the number of True voxels in cells of `every` a side."""
+    if every == 1:
+        return plane.astype(np.int32)
+    whole = np.pad(plane, [(0, -side % every) for side in plane.shape]).view(np.uint8)
+    rows, columns = (side // every for side in whole.shape)
+    return whole.reshape(rows, every, columns, every).sum(axis=(1, 3), dtype=np.int32)
+
+
+def bounding_slices(plane: np.ndarray) -> tuple[slice, ...]:
+    """Return the bounding box of the values other than 0; an empty one without any."""
+    ends = [np.flatnonzero(plane.any(axis=other)) for other in (1, 0)]
+    return tuple(
+        slice(int(held[0]), int(held[-1]) + 1) if len(held) else slice(0, 0) for held in ends
+    )
+
+
+def _disc_sums(values: np.ndarray, radius: int) -> np.ndarray:
+    """Return sums over the disc around every cell.
+
+    Cells nearer than `radius` to the array's faces are left out.
+    """
+    height, width = (side - 2 * radius for side in values.shape)
+    sums = np.zeros((values.shape[0], values.shape[1] + 1), np.int64)
+    np.cumsum(values, axis=1, out=sums[:, 1:])
+    total = np.zeros((height, width), np.int64)
+    for row in range(-radius, radius + 1):
+        half = math.isqrt(radius * radius - row * row)
+        near = sums[radius + row : radius + row + height]
+        total += near[:, radius + half + 1 : radius + half + 1 + width]
+        total -= near[:, radius - half : radius - half + width]
+    return total
+
 
 CENTRES = ("slice", "piece", "box")
 
 ORDER = {"z": (0, 1, 2), "y": (1, 0, 2), "x": (2, 0, 1)}
-"""Axes of a volume by principal axis: along it, then y and x of a slice. So these are y and x
-across z, z and x across y, z and y across x."""
+"""Axes of a volume by principal axis: along it, then y and x of a slice; y and x across z, z and x
+across y, z and y across x."""
 
-KEPT = 64 << 20  # bytes of slices that are kept for the boxes beside
+KEPT = 64 << 20  # bytes of slices stored for neighbouring boxes
 
 
 @dataclass(frozen=True)
 class Slice:
-    """What is known of a slice that holds some of the form. Places are voxels from its corner,
-    along rows and columns.
+    """A slice that holds some of the form.
+
+    Places are voxels from its corner, along rows and columns.
 
     Attributes
     ----------
     centre : pair of float
         Centre of mass.
     extent : pair of int
-        Height and width of the box around what it holds, voxels.
-    pieces : pair of (V, U) float32 arrays, or None
-        Of every place the centre of mass of the part that it lies in.
+        Height and width of the bounding box, voxels.
+    centres : pair of (V, U) float32 arrays, or None
+        Centre of mass of the connected component around every place.
     outline : (rows, columns, 2) int8 array, or None
         Unit vectors along the border times 127, one a cell; 0 where none is near.
     every : int
@@ -44,18 +120,18 @@ class Slice:
 
     centre: tuple[float, float]
     extent: tuple[int, int]
-    pieces: tuple[np.ndarray, np.ndarray] | None = None
+    centres: tuple[np.ndarray, np.ndarray] | None = None
     outline: np.ndarray | None = None
     every: int = 1
 
     @property
     def nbytes(self) -> int:
-        """Memory that it takes."""
-        arrays = [*(self.pieces or ()), *([] if self.outline is None else [self.outline])]
+        """Return the memory of the slice."""
+        arrays = [*(self.centres or ()), *([] if self.outline is None else [self.outline])]
         return 1000 + sum(array.nbytes for array in arrays)
 
 
-class Slices:
+class MaskSlices:
     """Slices of a mask by their places along the principal axis.
 
     Parameters
@@ -64,30 +140,35 @@ class Slices:
         Its axes in the order of `ORDER`.
     edges : two floats
         Of a voxel, along rows and columns.
-    pieces : bool
-        Whether parts that do not touch have centres of their own.
+    by_component : bool
+        Whether every connected component has a centre of its own.
     silhouette : float
-        Length up to which the outline is followed; 0: not.
+        Length up to which bubbles follow the outline; 0: not.
     """
 
     def __init__(
-        self, mask: np.ndarray, edges: tuple[float, ...], *, pieces: bool, silhouette: float
+        self, mask: np.ndarray, edges: tuple[float, ...], *, by_component: bool, silhouette: float
     ) -> None:
-        self._mask, self._edges, self._pieces, self._silhouette = mask, edges, pieces, silhouette
+        self._mask, self._edges, self._by_component, self._silhouette = (
+            mask,
+            edges,
+            by_component,
+            silhouette,
+        )
         self._known: dict[int, Slice | None] = {}
         self._held = 0
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Rows and columns."""
+        """Return the number of rows and columns."""
         return self._mask.shape[1:]
 
     def __getitem__(self, place: int) -> Slice | None:
-        """The slice at a place; None where nothing of the form is in it."""
+        """Return the slice at a place; None where nothing of the form is in it."""
         if not 0 <= place < len(self._mask):
             return None
         if place not in self._known:
-            found = self._found(np.ascontiguousarray(self._mask[place]))
+            found = self._analyse(np.ascontiguousarray(self._mask[place]))
             self._known[place] = found
             self._held += 0 if found is None else found.nbytes
             while self._held > KEPT and len(self._known) > 1:
@@ -95,24 +176,26 @@ class Slices:
                 self._held -= 0 if oldest is None else oldest.nbytes
         return self._known[place]
 
-    def _found(self, plane: np.ndarray) -> Slice | None:
+    def _analyse(self, plane: np.ndarray) -> Slice | None:
+        """Return centre, size and outline of a plane; None of an empty one."""
         centre = centre_of(plane)
         if centre is None:
             return None
-        pieces = piece_centres(plane, centre) if self._pieces else None
+        centres = component_centres(plane, centre) if self._by_component else None
         if not self._silhouette:
-            return Slice(centre, extent_of(plane), pieces)
+            return Slice(centre, extent_of(plane), centres)
         # Thickness and cells are voxels of the finer axis. A gradient is per length; turned by 90
         # degrees its components
         # change places, and so do the edges.
         rows, columns, every = along_outline(plane, self._silhouette / min(self._edges))
         along = unit((rows * self._edges[0], columns * self._edges[1]))
-        return Slice(centre, extent_of(plane), pieces, packed(np.stack(along, axis=-1)), every)
+        return Slice(centre, extent_of(plane), centres, pack_int8(np.stack(along, axis=-1)), every)
 
 
 def centre_of(plane: np.ndarray) -> tuple[float, float] | None:
-    """Centre of mass of a slice, in voxels from its corner, along rows and columns; None of an
-    empty one.
+    """Return the centre of mass of a slice; None of an empty one.
+
+    It is in voxels from the slice's corner, along rows and columns.
 
     Parameters
     ----------
@@ -129,22 +212,25 @@ def centre_of(plane: np.ndarray) -> tuple[float, float] | None:
     return down, right
 
 
-def piece_centres(plane: np.ndarray, around: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Of every place in a slice the centre of mass of the part that it lies in; parts touch by an
-    edge or a corner.
+def component_centres(
+    plane: np.ndarray, around: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the centre of mass of the connected component around every place of a slice.
+
+    Components touch by an edge or a corner.
 
     Parameters
     ----------
     plane : (V, U) bool array
     around : pair of float
-        Centre of what is no part.
+        Centre outside of all components.
 
     Returns
     -------
     rows, columns : (V, U) float32 arrays
         In voxels from the slice's corner.
     """
-    held = held_of(plane)
+    held = bounding_slices(plane)
     labels, sizes = label_components(np.ascontiguousarray(plane[held]), connectivity=8)
     found = []
     for axis, default in enumerate(around):
@@ -163,6 +249,6 @@ def piece_centres(plane: np.ndarray, around: tuple[float, float]) -> tuple[np.nd
 
 
 def extent_of(plane: np.ndarray) -> tuple[int, int]:
-    """Height and width of the box around what a slice holds, voxels; 0 of an empty one."""
-    rows, columns = held_of(plane)
+    """Return height and width of the bounding box of a slice, voxels; 0 of an empty one."""
+    rows, columns = bounding_slices(plane)
     return rows.stop - rows.start, columns.stop - columns.start

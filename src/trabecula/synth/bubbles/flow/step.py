@@ -1,10 +1,11 @@
-"""A step of Runge-Kutta, which is what a lattice can follow of a streamline.
+"""A Runge-Kutta step: the part of a streamline that a lattice can follow.
 
 The paper steps from a voxel by Runge-Kutta and goes on with the neighbour nearest to the solution
 (algorithm 2). A step here is one voxel's edge along the streamline, whatever the speed, so that the
-solution lies among the neighbours and its *direction* is what chooses one. Half of it is taken
-upstream and half downstream: the chord of a whole step downstream leaves a bend outwards, by an
-angle that grows with the voxels, and what is made on a coarse lattice would be another material."""
+solution lies among the neighbours and its *direction* chooses one. Half of it is taken upstream and
+half downstream: the chord of a whole step downstream leaves a bend outwards, by an angle that grows
+with the voxels, so that a coarse lattice would give another material.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +21,7 @@ STILL = 1e-9
 
 
 def step_direction(velocity: Velocity, point: Vectors, step: float) -> Vectors:
-    """Where a point comes from and goes to along its streamline, by the classical Runge-Kutta
-    method of fourth order.
+    """Return the direction of a streamline at a point, by fourth-order Runge-Kutta.
 
     Parameters
     ----------
@@ -47,27 +47,28 @@ def step_direction(velocity: Velocity, point: Vectors, step: float) -> Vectors:
 
 
 def _slope(velocity: Velocity, point: Vectors, first: Vectors, step: float) -> Vectors:
-    """Six times the mean velocity over a step at unit speed; a step below 0 goes upstream."""
-    second = unit(velocity(_moved(point, first, step / 2)))
-    third = unit(velocity(_moved(point, second, step / 2)))
-    fourth = unit(velocity(_moved(point, third, step)))
+    """Return six times the mean velocity over a step at unit speed; below 0 it goes upstream."""
+    second = unit(velocity(_shift(point, first, step / 2)))
+    third = unit(velocity(_shift(point, second, step / 2)))
+    fourth = unit(velocity(_shift(point, third, step)))
     return tuple(
         a + 2 * b + 2 * c + d for a, b, c, d in zip(first, second, third, fourth, strict=True)
     )
 
 
 def unit(vectors: Vectors) -> Vectors:
-    """Vectors of length 1, or 0 where there is no direction."""
+    """Return the vectors at length 1, or 0 where there is no direction."""
     with np.errstate(all="ignore"):
         length = np.sqrt(sum(part * part for part in vectors))
         moves = (length > STILL) & (length < np.inf)
         return tuple(np.where(moves, part / length, 0.0) for part in vectors)
 
 
-def packed(vector: np.ndarray) -> np.ndarray:
-    """Components of unit vectors, -1 .. 1, as int8 in units of 1/127."""
+def pack_int8(vector: np.ndarray) -> np.ndarray:
+    """Return components of unit vectors, -1 .. 1, as int8 in units of 1/127."""
     return np.rint(vector * 127.0).astype(np.int8)
 
 
-def _moved(point: Vectors, direction: Vectors, length: float) -> Vectors:
+def _shift(point: Vectors, direction: Vectors, length: float) -> Vectors:
+    """Return points moved by a length along a direction."""
     return tuple(place + length * part for place, part in zip(point, direction, strict=True))

@@ -1,13 +1,15 @@
-"""Dynamical systems by name, and what a flow is made of: a planar system, a field of vectors, or
-nothing.
+"""Dynamical systems, and the coordinates that they are written in.
 
-x and y are coordinates in a slice, from its centre; the system says how fast a point moves along
-them (Strogatz 2001). Only the direction is used: how far bubbles grow is not the flow's affair.
+A flow is a planar system, a field of vectors, or nothing. x and y are coordinates in a slice, from
+its centre; the system gives the velocity of a point along them (Strogatz 2001). Only its direction
+is used: it does not decide how far bubbles grow.
+
+Points are lengths from the corner of the request, in the slices' order of axes (along, tall, wide).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +18,8 @@ import numpy as np
 from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
 from trabecula.core.expression import Expression, expressions
-from trabecula.synth.bubbles.flow.given import Given, as_given, called
+from trabecula.synth.bubbles.flow.given import Given, as_given, call_function
+from trabecula.synth.bubbles.flow.step import Vectors
 
 SYSTEMS: dict[str, str] = {
     "quadratic": "9*x*x - 9*y*y + 1, 18*x*y + 1",  # equation 3, over -3 .. 3 in x and y
@@ -40,7 +43,7 @@ Velocity = Callable[..., tuple[np.ndarray, ...]]
 
 @dataclass(frozen=True)
 class System:
-    """Where a point moves.
+    """Velocity of a point.
 
     Attributes
     ----------
@@ -61,7 +64,7 @@ class System:
 
 
 def system_of(flow: Any, *, name: str = "flow") -> System | None:
-    """The system that a setting names or spells out; None for "none".
+    """Return the system of a setting, by its name or formulas; None for "none".
 
     Raises
     ------
@@ -85,15 +88,17 @@ def system_of(flow: Any, *, name: str = "flow") -> System | None:
 
 
 def condition_of(text: str) -> Expression:
-    """When a region holds: a formula of x, y, z and label that is not 0 inside it."""
+    """Return the condition of a region: a formula of x, y, z and label, not 0 inside it."""
     return Expression(text, ("x", "y", "z", "label"))
 
 
 def _of_formulas(text: str, *, named: bool) -> System:
+    """Return the system of two or three formulas."""
     count = _parts(text)
     if count not in (2, 3):
         raise InputError(
-            f"the flow {text!r} has {count} formulas: give two, of x' and y' in a slice, or three, of x', y' and z'"
+            f"the flow {text!r} has {count} formulas: give two, of x' and y' in a slice, or "
+            "three, of x', y' and z'"
         )
     formulas = expressions(text, ("x", "y", "z"), count=count)
     used = frozenset().union(*(formula.names for formula in formulas))
@@ -109,7 +114,7 @@ def _of_formulas(text: str, *, named: bool) -> System:
 
 
 def _parts(text: str) -> int:
-    """Formulas, separated by commas outside brackets."""
+    """Count the formulas, separated by commas outside brackets."""
     depth, count = 0, 1
     for letter in text.rstrip().rstrip(","):
         depth += (letter in "([") - (letter in ")]")
@@ -118,19 +123,21 @@ def _parts(text: str) -> int:
 
 
 def _of_function(given: Given, name: str) -> System:
+    """Return the system of a user's function."""
     function = given.function
     assert function is not None
 
     def velocity(z: np.ndarray, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
-        z1, y1, x1 = called(function, *np.broadcast_arrays(z, y, x), name=name)
+        z1, y1, x1 = call_function(function, *np.broadcast_arrays(z, y, x), name=name)
         return x1, y1, z1
 
     return System("volume", frozenset("xyz"), velocity)
 
 
 def _of_array(given: Given, name: str) -> System:
-    """A field of vectors that spans the request: trilinear between its voxels' centres, the last
-    goes on beyond them.
+    """Return a field of vectors that spans the request.
+
+    It is trilinear between its voxels' centres, and constant beyond the last ones.
     """
     array = given.array
     assert array is not None
@@ -140,9 +147,10 @@ def _of_array(given: Given, name: str) -> System:
         array = flat
     if array.ndim != 4 or array.shape[-1] != 3:
         raise InputError(
-            f"{name} is an array of shape {array.shape}: give (Z, Y, X, 3), vectors along z, y, x, or (Y, X, 2) for a picture"
+            f"{name} is an array of shape {array.shape}: give (Z, Y, X, 3), vectors along z, y, "
+            "x, or (Y, X, 2) for a picture"
         )
-    # Whatever its unit, what is slow is told from what stands still by the fastest.
+    # Scaled by the fastest vector, so that a slow one differs from 0 in any unit.
     vectors = np.ascontiguousarray(array, np.float64)
     vectors = vectors / max(float(np.abs(vectors).max()), 1e-300)
 
@@ -154,7 +162,7 @@ def _of_array(given: Given, name: str) -> System:
 
 
 def _between(vectors: np.ndarray, parts: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Trilinear values at places told as shares 0 .. 1 of the array's sides."""
+    """Interpolate linearly at places given as shares 0 .. 1 of the array's sides."""
     low, share = [], []
     for part, side in zip(parts, vectors.shape, strict=False):
         place = np.clip(part * side - 0.5, 0, side - 1)
@@ -172,3 +180,100 @@ def _between(vectors: np.ndarray, parts: tuple[np.ndarray, ...]) -> np.ndarray:
             weight = weight * (part if far else 1 - part)
         total += weight[..., None] * vectors[index]
     return total
+
+
+Centre = tuple[np.ndarray | float, np.ndarray | float]
+
+
+class Frames:
+    """The coordinates of one request.
+
+    Parameters
+    ----------
+    shape, spacing : along z, y, x
+    order : of the axes, along, tall and wide
+    extent : float
+        Coordinate at half the longest side; 0 for lengths.
+    """
+
+    def __init__(
+        self, shape: Sequence[int], spacing: Sequence[float], order: Sequence[int], extent: float
+    ) -> None:
+        self.shape, self.spacing, self.order = tuple(shape), tuple(spacing), tuple(order)
+        self.sides = tuple(count * edge for count, edge in zip(shape, spacing, strict=True))
+        self.middle = tuple(side / 2 for side in self.sides)
+        longest = max(self.sides)
+        in_slice = max(self.sides[axis] for axis in order[1:])
+        self._volume_scale = extent / (longest / 2) if extent else 1.0
+        self._slice_scale = extent / (in_slice / 2) if extent else 1.0
+
+    def points(self, place: int, tall: np.ndarray, wide: np.ndarray) -> Vectors:
+        """Return the centres of voxels of a slice: three arrays that broadcast to (1, rows,
+        columns).
+        """
+        edges = [self.spacing[axis] for axis in self.order]
+        nodes = (np.array([place])[:, None, None], tall[None, :, None], wide[None, None, :])
+        return tuple((node + 0.5) * edge for node, edge in zip(nodes, edges, strict=True))
+
+    def of_volume(self, point: Vectors) -> Vectors:
+        """Return z, y, x from the middle of the request."""
+        return tuple(
+            (part - middle) * self._volume_scale
+            for part, middle in zip(self._by_axis(point), self.middle, strict=True)
+        )
+
+    def nearest(
+        self, values: np.ndarray, place: int, tall: np.ndarray, wide: np.ndarray
+    ) -> np.ndarray:
+        """Return values of an array that spans the request, (1, rows, columns); 0 beyond it."""
+        index: list[np.ndarray] = []
+        inside: np.ndarray = np.ones((1, 1, 1), bool)
+        for part, side, count in zip(
+            self._by_axis(self.points(place, tall, wide)), self.sides, values.shape, strict=True
+        ):
+            index.append(np.clip(np.floor(part / side * count), 0, count - 1).astype(np.int64))
+            inside = inside & (part >= 0) & (part < side)
+        return np.where(inside, values[tuple(index)], 0)
+
+    def velocity(self, system: System, centre: Centre) -> Callable[[Vectors], Vectors]:
+        """Return a system as a function of points, its velocities in the slices' order."""
+        return {"slice": self._in_slice, "volume": self._in_volume, "array": self._in_array}[
+            system.frame
+        ](system, centre)
+
+    def _in_slice(self, system: System, centre: Centre) -> Callable[[Vectors], Vectors]:
+        origin = (self.middle[self.order[0]], *centre)
+
+        def velocity(point: Vectors) -> Vectors:
+            z, y, x = (
+                (part - zero) * self._slice_scale for part, zero in zip(point, origin, strict=True)
+            )
+            found = system.velocity(z, y, x)
+            return (found[2] if len(found) == 3 else np.zeros(1), found[1], found[0])
+
+        return velocity
+
+    def _in_volume(self, system: System, centre: Centre) -> Callable[[Vectors], Vectors]:
+        def velocity(point: Vectors) -> Vectors:
+            x1, y1, z1 = system.velocity(*self.of_volume(point))
+            return self._in_order((z1, y1, x1))
+
+        return velocity
+
+    def _in_array(self, system: System, centre: Centre) -> Callable[[Vectors], Vectors]:
+        def velocity(point: Vectors) -> Vectors:
+            shares = (
+                part / side for part, side in zip(self._by_axis(point), self.sides, strict=True)
+            )
+            x1, y1, z1 = system.velocity(*shares)
+            return self._in_order((z1, y1, x1))
+
+        return velocity
+
+    def _by_axis(self, point: Vectors) -> Vectors:
+        """Reorder from the slices' order to z, y, x."""
+        return tuple(point[self.order.index(axis)] for axis in range(3))
+
+    def _in_order(self, vectors: Vectors) -> Vectors:
+        """Reorder from z, y, x to the slices' order."""
+        return tuple(vectors[axis] for axis in self.order)

@@ -33,7 +33,11 @@ def distance_bounds(
     unknown = None if thin else distance_transform(known, spacing=spacing)
     low, high = _empty_bounds(len(labels), known)
     for label, least, most in zip(labels, low, high, strict=True):
-        inside = make_by_slabs(lambda a, b, label=label: values[a:b] == label, known.shape, bool)  # type: ignore[misc]
+        inside = make_by_slabs(
+            lambda a, b, label=label: values[a:b] == label,  # type: ignore[misc]
+            known.shape,
+            bool,
+        )
         within, without = _depth(inside, known, spacing), _depth(complement(inside), known, spacing)
 
         def bounds(

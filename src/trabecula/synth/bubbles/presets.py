@@ -1,7 +1,7 @@
-"""Ready settings of `bubbles`: materials by name. Lengths are shares of the mean distance between
-bubbles, so that they hold in any unit; that distance is in voxels until a density is given.
+"""Presets of `bubbles`: materials by name.
 
-Light to import: the registry asks for the names.
+Lengths are shares of the mean distance between bubbles, so that they hold in any unit; that
+distance is in voxels until a density is given. Light to import: the registry reads the names.
 """
 
 from __future__ import annotations
