@@ -27,7 +27,7 @@ class UnknownNameError(InputError):
 
 
 class UnnamedVoidError(InputError):
-    """An image of which no phase is named void, where pores have to be told apart from solid.
+    """An image of which no phase is named void, where pores and solid must be distinguished.
 
     Parameters
     ----------

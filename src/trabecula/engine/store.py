@@ -354,7 +354,7 @@ def _open(place: Location, level: int) -> Store:
         name = str(place).removesuffix(".part")
         raise FileError(
             f"cannot read {place} as Zarr: the run that makes it did not finish; trabecula "
-            f"generate --resume {name} goes on"
+            f"generate --resume {name} resumes it"
         )
     ours = (
         {name: value for name, value in fields.items() if name != "complete"}

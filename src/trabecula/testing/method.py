@@ -323,7 +323,7 @@ def _window_model(case: MethodCase) -> WindowModel:
 def _check_blocks(case: MethodCase) -> None:
     """Check that a volume made or streamed in blocks is the one that is made at once."""
     folder, request = case.folder(), case.request()
-    with patch.object(store, "CHUNK", 16), patch.object(memmap, "LEAST", 256):
+    with patch.object(store, "CHUNK", 16), patch.object(memmap, "SMALLEST", 256):
         at_once = generate_to(case.model, request, folder / "whole.zarr")
         whole = read(folder / "whole.zarr")
         assert at_once.sha256 == _digest(case) and at_once.text == repr(case.material), (
@@ -389,7 +389,7 @@ def _check_parts(case: MethodCase) -> None:
         if part == "fixed":
             known, fixed = words["known"], words["fixed"].values
             same(made.values[known], fixed[known], "fixed: known voxels are changed")
-        with patch.object(memmap, "LEAST", 256):
+        with patch.object(memmap, "SMALLEST", 256):
             result = generate_to(case.model, request, path, chunks=16)
         assert result.sha256 == digest(made.values), f"{part}: blocks give other voxels"
 
@@ -401,7 +401,7 @@ def _check_resume(case: MethodCase) -> None:
     """
     folder, stops, result = case.folder(), 0, None
     with (
-        patch.object(memmap, "LEAST", 256),
+        patch.object(memmap, "SMALLEST", 256),
         patch.object(checkpoint, "EVERY", 0.0),
         patch.object(checkpoint, "_SHARE", 0),
     ):
@@ -553,7 +553,7 @@ def _check_memory(case: MethodCase) -> None:
         raise Inapplicable(f"the model has no hook {hook}")
     if getattr(type(case.model), hook) is getattr(Model, hook, None):
         raise Inapplicable(f"the model has no hook {hook}")
-    # How long it goes on changes nothing in what it holds.
+    # Its length changes nothing in what it holds.
     model = case.fit(preset=_fast(case))
     request = Request((96, 88, 80), seed=1)
     plan = model.plan(request)

@@ -97,7 +97,7 @@ class Search:
     def run(self, starts: Sequence[Sequence[float]], *, halvings: int = 3) -> None:
         """Search for the least cost from the best start until the steps are small.
 
-        Then it goes on from the next start while trials are left.
+        Then it continues from the next start while trials are left.
         """
         costs = sorted(self.evaluate(start) for start in starts)
         for begun in costs:

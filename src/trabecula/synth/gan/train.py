@@ -124,7 +124,7 @@ def _restart(found: str, state: TrainingState, last: TrainingState) -> TrainingS
         f"after {state.iteration} iterations {found}: back to {last.iteration}, "
         f"with the rate times {pace:g}"
     )
-    # The clock goes on, or a run that fails again and again would never end.
+    # The clock continues, or a run that fails again and again would never end.
     return replace(last, seconds=state.seconds, pace=pace, restarts=state.restarts + 1)
 
 

@@ -1,6 +1,6 @@
 """A Runge-Kutta step: the part of a streamline that a lattice can follow.
 
-The paper steps from a voxel by Runge-Kutta and goes on with the neighbour nearest to the solution
+The paper steps from a voxel by Runge-Kutta and continues with the neighbour nearest to the solution
 (algorithm 2). A step here is one voxel's edge along the streamline, whatever the speed, so that the
 solution lies among the neighbours and its *direction* chooses one. Half of it is taken upstream and
 half downstream: the chord of a whole step downstream leaves a bend outwards, by an angle that grows
