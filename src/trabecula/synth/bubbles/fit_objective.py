@@ -176,8 +176,8 @@ def _coarser(image: Image, factor: int) -> Image:
 def trial(config: BubblesConfig, seen: Exemplar, make: Maker, seed: int) -> Mapping[str, float]:
     """Return the distances of a volume of these settings, as large as the reduced exemplar.
 
-    Where walls leave no room for the porosity, growth continues to the end, and the missing porosity
-    counts as a distance.
+    Where walls leave no room for the porosity, growth continues to the end, and the missing
+    porosity counts as a distance.
     """
     facts = without_exemplar(seen.spacing, seen.image.unit)
     for tried in (config, replace(config, porosity=None)):
