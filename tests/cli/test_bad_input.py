@@ -434,7 +434,7 @@ def test_a_store_does_not_take_the_place_of_a_file_or_of_a_strange_folder(
 
 
 def test_a_shape_beyond_memory_is_refused_before_anything_is_made(place, monkeypatch):
-    for home in ("engine.plan", "pipeline.plan"):
+    for home in ("engine.memory", "pipeline.plan"):
         monkeypatch.setattr(f"trabecula.{home}.available_memory", lambda: 1 << 28)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: namedtuple("usage", "free")(1 << 60))
     monkeypatch.setattr(

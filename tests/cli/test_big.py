@@ -125,7 +125,7 @@ def test_a_store_that_is_not_finished_says_so_to_every_reader(interrupted):
         ("rerun",),
         ("check",),
     ):
-        goes_on = "trabecula generate --resume big.zarr resumes it"
+        goes_on = "trabecula generate --resume big.zarr resumes"
         for name, words in (("big.zarr.part", "did not finish"), ("big.zarr", "is not finished")):
             line = refused(verb[0], name, *verb[1:])
             assert words in line and goes_on in line

@@ -266,7 +266,7 @@ BAD = [
     (("--shape", 20, "--mask-scale", 2), "--mask-scale without --mask"),
     (("--shape", 40, "--known", "known.tif"), "--known, --at and --view say where --fixed lies"),
     (("--shape", 40, "--at", 0, 0, 0), "--known, --at and --view say where --fixed lies"),
-    (("--shape", 40, "--fixed", "scan.zarr"), "needs to be told where it is known"),
+    (("--shape", 40, "--fixed", "scan.zarr"), "needs the place where it is known"),
     (("--fixed", "scan.zarr", "--at", 0, 0, 0), "give --shape"),
     (("--shape", 20, "--fixed", "scan.zarr", "--at", 0, 0, 0), "does not lie inside (20, 20, 20)"),
     (

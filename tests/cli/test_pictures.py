@@ -130,7 +130,7 @@ BAD = [
     ("sixteen.png", ("--threshold", "none", "--target", "porosity=0.5"), "the exemplar is grey"),
     ("picture.tif", ("--fixed", "coarse.tif", "--at", 8, 0, 0), "give the spacing of both"),
     ("picture.tif", ("--fixed", "picture.tif", "--at", 16, 0, 0), "does not lie inside"),
-    ("picture.tif", ("--fixed", "picture.tif"), "needs to be told where it is known"),
+    ("picture.tif", ("--fixed", "picture.tif"), "needs the place where it is known"),
 ]
 
 
