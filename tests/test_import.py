@@ -7,7 +7,18 @@ import sys
 
 import pytest
 
-HEAVY = ("numba", "zarr", "PIL", "tifffile", "nibabel", "nrrd", "scipy", "torch")
+HEAVY = (
+    "numba",
+    "zarr",
+    "PIL",
+    "tifffile",
+    "nibabel",
+    "nrrd",
+    "scipy",
+    "torch",
+    "filelock",
+    "psutil",
+)
 
 
 def modules_after(code, watched):

@@ -32,7 +32,18 @@ TESTS = (
     "tests/core/test_arrays.py",
 )
 TOOLS = ("pytest", "hypothesis")
-SHOWN = ("numpy", "numba", "zarr", "tifffile", "pillow", "nibabel", "pynrrd", "threadpoolctl")
+SHOWN = (
+    "numpy",
+    "numba",
+    "zarr",
+    "tifffile",
+    "pillow",
+    "nibabel",
+    "pynrrd",
+    "threadpoolctl",
+    "filelock",
+    "psutil",
+)
 SETS = ("oldest", "newest")
 LIMIT = 1200  # seconds of one step
 
