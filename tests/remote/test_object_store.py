@@ -104,7 +104,8 @@ def test_what_was_interrupted_goes_on_and_nothing_lies_here(interrupted, whole, 
 
 def test_until_it_is_complete_every_reader_refuses(interrupted):
     goes_on = (
-        f"the run that makes it did not finish; trabecula generate --resume {interrupted} resumes it"
+        "the run that makes it did not finish; "
+        f"trabecula generate --resume {interrupted} resumes it"
     )
     for verb in (
         ("measure",),
