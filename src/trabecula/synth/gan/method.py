@@ -26,6 +26,7 @@ from trabecula.synth.gan.decode import CELLS, decode
 PROCESS = 470 << 20
 """Bytes of the interpreter with NumPy, Numba and torch loaded."""
 
+_AUTOGRAD = 40 << 20  # bytes of torch's code for training, loaded
 _LATENT = 200 << 10  # bytes of a tile's latent and the places of the tiles
 
 
@@ -45,7 +46,8 @@ class Gan(Method):
         need("torch", extra="learn", purpose="method 'gan'")
         from trabecula.synth.gan.train import training_bytes
 
-        return {"interpreter and kernels": PROCESS, **training_bytes(self.config, exemplars[0])}
+        process = PROCESS + _AUTOGRAD
+        return {"interpreter and kernels": process, **training_bytes(self.config, exemplars[0])}
 
     def from_state(self, exemplars: Sequence[Any], state: ModelState) -> GanModel:
         """Build the model that `GanModel.state` described."""
