@@ -192,12 +192,11 @@ def test_a_source_that_is_dear_is_avoided():
 
 def test_a_region_is_seen_with_its_axis_first():
     rng = np.random.default_rng(0)
-    free, low = rng.random((3, 4, 5)) < 0.5, rng.integers(-9, 9, (2, 3, 4, 5)).astype(np.int8)
-    seen = Region((3, 4, 5), (True, False, True), free, low, low).view_along(2)
+    free = rng.random((3, 4, 5)) < 0.5
+    seen = Region((3, 4, 5), (True, False, True), free).view_along(2)
     assert seen.shape == (5, 3, 4)
     assert seen.wraps == (True, True, False)
     assert np.array_equal(seen.free[4, 1, 2], free[1, 2, 4])
-    assert np.array_equal(seen.low[:, 4, 1, 2], low[:, 1, 2, 4])
 
 
 def test_only_squares_that_hold_a_free_voxel_are_active():

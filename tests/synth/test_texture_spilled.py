@@ -145,7 +145,7 @@ def test_a_run_that_was_cut_off_goes_on_after_any_round(settings, bone, tmp_path
             stop = 1  # the first time after a round, then after two
     assert np.array_equal(made, values)
     assert told == report, "the energies are those of one run"
-    assert any(line.startswith("going on from x.part") for line in went_on)
+    assert any(line.startswith("resuming from x.part") for line in went_on)
     assert len(went_on) >= 2
     assert not list(tmp_path.iterdir())
 
