@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from trabecula.engine.files import replacing
-from trabecula.io import Content, Format
+from trabecula.io import FileContent, Format
 from trabecula.io.guard import check_claim, report_damage
 from trabecula.io.metadata import decode, encode
 
@@ -43,7 +43,7 @@ def read(path):
         dtype, sides = np.dtype(fields["dtype"]), fields["sides"]
         check_claim(path, sides, dtype, stored=len(raw))
         values = np.frombuffer(raw, dtype).reshape(sides)
-    return Content(values, colour=fields["kind"] == "colour", fields=fields)
+    return FileContent(values, colour=fields["kind"] == "colour", fields=fields)
 '''
 
 
