@@ -57,36 +57,36 @@ wheel: $(VENV)/dev.stamp            ## dist/*.whl
 
 $(VENV)/base.stamp: requirements/base.txt pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/base.txt
+	$(BIN)/python -m pip install --quiet --requirement requirements/base.txt
 	$(BIN)/python -m pip install --quiet --no-deps --editable .
 	touch $@
 
 $(VENV)/dev.stamp: $(VENV)/base.stamp requirements/dev.txt
-	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/dev.txt
+	$(BIN)/python -m pip install --quiet --requirement requirements/dev.txt
 	touch $@
 
 $(VENV)/learn.stamp: $(VENV)/base.stamp requirements/learn.txt
-	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/learn.txt
+	$(BIN)/python -m pip install --quiet --requirement requirements/learn.txt
 	touch $@
 
 $(VENV)/types.stamp: $(VENV)/base.stamp requirements/types.txt
-	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/types.txt
+	$(BIN)/python -m pip install --quiet --requirement requirements/types.txt
 	touch $@
 
 $(VENV)/cluster.stamp: $(VENV)/base.stamp requirements/cluster.txt
-	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/cluster.txt
+	$(BIN)/python -m pip install --quiet --requirement requirements/cluster.txt
 	touch $@
 
 $(VENV)/remote.stamp: $(VENV)/base.stamp requirements/remote.txt
-	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/remote.txt
+	$(BIN)/python -m pip install --quiet --requirement requirements/remote.txt
 	touch $@
 
 $(VENV)/peers.stamp: $(VENV)/base.stamp requirements/peers.txt
-	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/peers.txt
+	$(BIN)/python -m pip install --quiet --requirement requirements/peers.txt
 	touch $@
 
 $(VENV)/docs.stamp: $(VENV)/base.stamp requirements/docs.txt
-	$(BIN)/python -m pip install --quiet --no-compile --requirement requirements/docs.txt
+	$(BIN)/python -m pip install --quiet --requirement requirements/docs.txt
 	touch $@
 
 clean:

@@ -1,10 +1,15 @@
-"""Fixtures for every room's tests."""
+"""Fixtures for every room's tests, and how processes share the work (`pytest -n`)."""
 
+import functools
 import os
+import tempfile
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 from hypothesis import settings
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
 
 import trabecula as tb
 from trabecula.engine import memmap
@@ -39,3 +44,39 @@ _SEARCH = os.environ.get("HYPOTHESIS_EXAMPLES")
 settings.register_profile("same", deadline=None, derandomize=True)
 settings.register_profile("search", deadline=None, max_examples=int(_SEARCH or 100))
 settings.load_profile("search" if _SEARCH else "same")
+
+
+def pytest_xdist_make_scheduler(config, log):
+    """Give a process the tests of a file one after the other, and of the contract those of a
+    method: they share fixtures.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFixtures(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file, _, test = nodeid.partition("::")
+            if file.endswith("contract/test_methods.py"):
+                return test.partition("[")[2].partition("-")[0]
+            return file
+
+    return ByFixtures(config, log)
+
+
+def _compile_in_one_process() -> None:
+    """Let a process wait for a kernel that another compiles, and load it from the cache."""
+    compile_alone = Dispatcher.compile
+    folder = Path(tempfile.gettempdir()) / f"trabecula-compiling-{os.environ['PYTEST_XDIST_TESTRUNUID']}"
+    folder.mkdir(exist_ok=True)
+
+    @functools.wraps(compile_alone)
+    def compile_or_wait(self, signature):
+        name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
+        # The lock of this process first, as within a compilation, so that no two wait for each other.
+        with global_compiler_lock, FileLock(folder / name):
+            return compile_alone(self, signature)
+
+    Dispatcher.compile = compile_or_wait
+
+
+if "PYTEST_XDIST_TESTRUNUID" in os.environ:
+    _compile_in_one_process()

@@ -140,13 +140,11 @@ def test_a_scheduler_that_does_not_answer(model, tmp_path):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
-        start = time.monotonic()
         with (
             pytest.raises(ClusterError, match=f"no answer from a scheduler at {address}"),
             workers_of(Cluster(address), wait=1),
         ):
             pass
-        assert time.monotonic() - start < 20
 
 
 def test_a_scheduler_without_workers(model, tmp_path):

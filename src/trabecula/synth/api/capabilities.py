@@ -54,7 +54,7 @@ class Capabilities:
     extras : tuple of str
         Extras of the package that it needs.
     trial : mapping
-        Settings with which learning takes seconds where the defaults take minutes, for tests.
+        Settings with which tests take seconds where the defaults take minutes.
 
     Raises
     ------

@@ -17,5 +17,6 @@ CAPABILITIES = Capabilities(
     honours=frozenset({"periodic", "mask", "fixed", "target"}),
     presets=("fast", "best", "paper"),
     large="memmap",
+    trial={"first_rounds": 3, "rounds": (2, 3)},
     method="trabecula.synth.kopf.method:Kopf",
 )

@@ -19,5 +19,6 @@ CAPABILITIES = Capabilities(
     honours=frozenset({"periodic", "mask", "fixed", "target"}),
     presets=("fast", "best"),
     large="memmap",
+    trial={"layout_rounds": 3, "rounds": (2, 2)},
     method="trabecula.synth.sliced.method:Sliced",
 )

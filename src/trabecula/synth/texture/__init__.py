@@ -16,5 +16,6 @@ CAPABILITIES = Capabilities(
     honours=frozenset({"periodic", "mask", "fixed", "target"}),
     presets=("fast", "best", "paper"),
     large="memmap",
+    trial={"first_rounds": 4, "rounds": (2, 2, 3)},
     method="trabecula.synth.texture.method:Texture",
 )
