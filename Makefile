@@ -6,13 +6,21 @@ ifeq ($(OS),Windows_NT)
 BIN := $(VENV)/Scripts
 endif
 
-.PHONY: demo test test-learn test-types test-cluster test-remote test-peers test-newest test-matrix check docs gallery bench wheel clean
+# So that the processes that tests start need not compile the sources again.
+export PYTHONDONTWRITEBYTECODE :=
+PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --durations 20
+
+.PHONY: demo test test-all test-learn test-types test-cluster test-remote test-peers test-newest test-matrix check docs gallery bench wheel clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
 
-test: $(VENV)/dev.stamp             ## the test suite
-	$(BIN)/python -m pytest
+test: $(VENV)/dev.stamp             ## the tests of minutes, by as many processes as there are cores
+	$(PYTEST) -m "not whole"
+
+test-all: $(VENV)/dev.stamp         ## every test of the base install, and those of each extra
+	$(PYTEST)
+	$(MAKE) test-newest test-learn test-cluster test-remote test-types
 
 test-learn: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## the tests that need PyTorch, which `make test` skips where it is not installed
 	$(BIN)/python -m pytest tests/synth/gan tests/contract -k gan

@@ -65,13 +65,14 @@ def pytest_xdist_make_scheduler(config, log):
 def _compile_in_one_process() -> None:
     """Let a process wait for a kernel that another compiles, and load it from the cache."""
     compile_alone = Dispatcher.compile
-    folder = Path(tempfile.gettempdir()) / f"trabecula-compiling-{os.environ['PYTEST_XDIST_TESTRUNUID']}"
+    run = os.environ["PYTEST_XDIST_TESTRUNUID"]
+    folder = Path(tempfile.gettempdir()) / f"trabecula-compiling-{run}"
     folder.mkdir(exist_ok=True)
 
     @functools.wraps(compile_alone)
     def compile_or_wait(self, signature):
         name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
-        # The lock of this process first, as within a compilation, so that no two wait for each other.
+        # First the lock of this process, as within a compilation: no two wait for each other.
         with global_compiler_lock, FileLock(folder / name):
             return compile_alone(self, signature)
 
@@ -79,4 +80,5 @@ def _compile_in_one_process() -> None:
 
 
 if "PYTEST_XDIST_TESTRUNUID" in os.environ:
+    os.environ.setdefault("TRABECULA_THREADS", "1")  # each process has its core
     _compile_in_one_process()

@@ -1,4 +1,4 @@
-"""A process that ends as `kill -9` ends it, at an event in place of a moment: each time the same."""
+"""A process that ends as `kill -9` ends it, at an event in place of a moment, every time."""
 
 import os
 import signal

@@ -446,6 +446,7 @@ def test_a_shape_beyond_memory_is_refused_before_anything_is_made(place, monkeyp
         assert "of memory, 256 MiB may be used: " in line and "ask for a smaller --shape" in line
 
 
+@pytest.mark.whole
 def test_plan_tells_of_a_shape_beyond_memory_instead(place):
     assert "TiB" in trabecula("plan", "scan.npy", "--shape", 20000, *SMALL).out
 
@@ -529,6 +530,7 @@ def test_a_bad_environment_is_told(place, monkeypatch):
     assert generate("scan.npy") == "TRABECULA_THREADS='many' should be a positive integer"
 
 
+@pytest.mark.whole
 def test_names_that_no_terminal_shows(tmp_path, scans):
     """Read, write and print a name of stray bytes, escaped."""
     shutil.copy(scans / "scan.npy", tmp_path / os.fsdecode(b"knochen-\xff.npy"))

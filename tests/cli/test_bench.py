@@ -26,6 +26,7 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.whole
 def test_a_word_stands_for_every_case_that_begins_so(capfd):
     output = attempt("bench", "--list", "texture")
     names = [line.split()[0] for line in capfd.readouterr().out.splitlines()]
@@ -34,6 +35,7 @@ def test_a_word_stands_for_every_case_that_begins_so(capfd):
     assert all(name.startswith("texture") for name in names)
 
 
+@pytest.mark.whole
 def test_every_case_is_listed_once_with_what_it_shows(capfd):
     attempt("bench", "--list")
     rows = [line.split(maxsplit=1) for line in capfd.readouterr().out.splitlines()]
@@ -41,6 +43,7 @@ def test_every_case_is_listed_once_with_what_it_shows(capfd):
     assert all(len(row) == 2 for row in rows)
 
 
+@pytest.mark.whole
 def test_an_unknown_case_is_refused_with_the_nearest(capfd):
     output = attempt("bench", "texture_sped")
     told = capfd.readouterr()

@@ -230,6 +230,7 @@ def exports_levels():
     return "--level" in attempt("export", "--help").out
 
 
+@pytest.mark.whole
 def test_plan_tells_the_time(place):
     plan = json.loads(trabecula("plan", *ASKED, "--out", "big.zarr", "--chunks", 64, "--json").out)
     assert plan["seconds"] > 0

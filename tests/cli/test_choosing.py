@@ -41,6 +41,7 @@ def method_of(path) -> dict:
     return step
 
 
+@pytest.mark.whole
 def test_the_words_and_the_figures():
     assert "inspect" in VERBS
     found = json.loads(trabecula("inspect", "scan.tif", "--json").out)
@@ -94,6 +95,7 @@ def test_a_store_that_does_not_fit_is_inspected_in_its_middle(monkeypatch):
         assert line.status == 2 and "--crop auto looks at all of padded.zarr" in line.err
 
 
+@pytest.mark.whole
 def test_a_micrograph_works_at_once():
     made = trabecula("generate", "picture.png", "--shape", 16, "--seed", 1, "--out", "more.zarr")
     assert choice(made) == ["trabecula: method kopf"]
@@ -114,6 +116,7 @@ def test_a_micrograph_works_at_once():
     assert trabecula("rerun", "more.zarr").sha256 == made.sha256
 
 
+@pytest.mark.whole
 def test_a_volume_stays_texture():
     made = trabecula("generate", "scan.tif", "--shape", 16, "--out", "volume.zarr")
     assert choice(made) == ["trabecula: method texture"]
@@ -129,6 +132,7 @@ def test_a_volume_stays_texture():
     )
 
 
+@pytest.mark.whole
 def test_layers_get_the_preset_that_keeps_order():
     made = trabecula("generate", "layers.tif", "--shape", 24, "--out", "layered.zarr")
     assert choice(made) == ["trabecula: method texture --preset best"]
@@ -139,6 +143,7 @@ def test_layers_get_the_preset_that_keeps_order():
     assert method_of("fast.zarr")["settings"]["first_rounds"] == 14 and choice(own) == []
 
 
+@pytest.mark.whole
 def test_plan_and_fit_choose_as_well():
     assert choice(trabecula("plan", "picture.png", "--shape", 16)) == ["trabecula: method kopf"]
     fitted = trabecula("fit", "picture.png", "--out", "picture.model")

@@ -17,6 +17,7 @@ def place(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("suffix", [".npy", ".tif", ".zarr"])
 def test_a_ramp_becomes_a_target(place, suffix):
     trabecula(
@@ -44,6 +45,7 @@ def test_a_ramp_becomes_a_target(place, suffix):
     assert made.mean() == pytest.approx(0.225, abs=0.001)
 
 
+@pytest.mark.whole
 def test_a_result_is_made_again_with_its_field(place):
     trabecula(
         "field", "formula", "0.2 + 0.05 * sin(2 * pi * x / X)", "--shape", 16, "--out", "field.tif"
@@ -64,6 +66,7 @@ def test_a_result_is_made_again_with_its_field(place):
     assert "the same voxels" in trabecula("rerun", "made.zarr").out
 
 
+@pytest.mark.whole
 def test_every_kind_is_what_its_function_makes(place):
     # few levels, which are greys all the same
     drawn = np.repeat(np.array([[0, 51, 255]], np.uint8), 4, axis=0)

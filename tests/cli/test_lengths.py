@@ -160,6 +160,7 @@ def test_out_of_memory_names_options_that_the_verb_has(place, monkeypatch):
     )
 
 
+@pytest.mark.whole
 def test_the_form_comes_from_the_recipe_or_from_mask(place):
     grid = np.indices((26, 26, 26)) - 12.5
     legs = (np.hypot(np.abs(grid[1]) - 7, grid[2]) < 4) | (

@@ -213,6 +213,7 @@ def test_a_grey_scan_is_segmented_by_the_threshold_that_is_found(grey):
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
 
+@pytest.mark.whole
 def test_a_threshold_that_is_given_is_used_and_recorded(grey):
     image, output = generate("grey.npy", "--threshold", 150, "--phases", "marrow", "bone")
     step = exemplar_steps(image)["segment"]
@@ -223,6 +224,7 @@ def test_a_threshold_that_is_given_is_used_and_recorded(grey):
     assert exemplar_steps(pair)["segment"]["threshold"] == [90, 150]
 
 
+@pytest.mark.whole
 def test_the_two_thresholds_are_found_and_recorded(grey):
     image, output = generate("grey.npy", "--threshold", "dual")
     step = exemplar_steps(image)["segment"]
@@ -243,6 +245,7 @@ def electrode(place, bone):
     return values
 
 
+@pytest.mark.whole
 def test_three_phases_are_kept(electrode):
     image, output = generate("electrode.tif", "--shape", 28)
     assert image.phases == ("void", "carbon", "binder")
@@ -274,6 +277,7 @@ def test_anisotropic_spacing_is_kept_in_every_output(electrode, place):
     assert json.loads(trabecula("measure", "made.zarr", "--json").out)["spacing"] == [3, 2, 1]
 
 
+@pytest.mark.whole
 def test_spacing_can_be_given(place):
     image, output = generate("scan.npy", "--spacing", 3, 2, 1, "--unit", "micron")
     assert image.spacing == (3.0, 2.0, 1.0) and image.unit == "um"
@@ -281,6 +285,7 @@ def test_spacing_can_be_given(place):
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("shape", [(16, 18, 40), (40, 16, 18), (16, 40, 18), (3, 5, 40)])
 def test_an_exemplar_smaller_than_the_output_in_one_axis_only(place, shape):
     image, _ = generate("scan.npy", "--shape", *shape)
@@ -310,6 +315,7 @@ def test_python_makes_what_the_command_makes(place):
     np.testing.assert_array_equal(model.generate(16, seed=3).values, image.values)
 
 
+@pytest.mark.whole
 def test_plan_tells_and_makes_nothing(place):
     before = set(place.iterdir())
     words = ("plan", "scan.npy", "--shape", 100, "--memory", 1, *SMALL)
@@ -368,6 +374,7 @@ def test_measure_prints_every_descriptor(place):
     assert "porosity" in table and "values (--json prints them)" in table
 
 
+@pytest.mark.whole
 def test_how_much_is_measured_is_chosen(place):
     quick, full = (
         json.loads(trabecula("measure", "sample:bone", "--crop", 28, "--json", *words).out)
@@ -409,6 +416,7 @@ def test_grey_values_are_compared_as_they_are_where_asked(place):
     assert "Autocorrelation along x" in (place / "page.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.whole
 def test_several_files_are_judged_and_a_page_is_written(place):
     generate("scan.npy", "--seed", 1, out="one.zarr")
     generate("scan.npy", "--seed", 2, out="two.npy")
@@ -422,6 +430,7 @@ def test_several_files_are_judged_and_a_page_is_written(place):
     assert "porosity_error" in trabecula("verify", "scan.npy", "one.zarr").out
 
 
+@pytest.mark.whole
 def test_an_exemplar_that_moved_is_found_beside_the_file_or_by_its_name(place):
     (place / "scans").mkdir()
     (place / "scan.npy").rename(place / "scans" / "scan.npy")
@@ -453,6 +462,7 @@ def test_changed_voxels_are_noticed(place):
     assert "its voxels were changed since" in refused("rerun", "made.zarr")
 
 
+@pytest.mark.whole
 def test_what_no_recipe_made_cannot_be_made_again(place):
     assert "holds no recipe" in refused("rerun", "scan.npy")
     tb.write(
@@ -465,6 +475,7 @@ def test_what_no_recipe_made_cannot_be_made_again(place):
     trabecula("rerun", "array.zarr", "--exemplar", "scan.npy")
 
 
+@pytest.mark.whole
 def test_finish_and_still_can_be_made_again(place):
     generate("scan.npy", "--shape", 24)
     trabecula("finish", "made.zarr", "--connect", "--out", "part.tif")

@@ -32,6 +32,7 @@ def notices(output) -> bool:
     return any(NOTE in line for line in output.lines)
 
 
+@pytest.mark.whole
 def test_whoever_makes_or_measures_says_it(scan, monkeypatch):
     monkeypatch.chdir(scan)
     assert notices(trabecula("generate", "scan.tif", "--shape", 24, "--out", "a.tif", *SMALL))
@@ -41,6 +42,7 @@ def test_whoever_makes_or_measures_says_it(scan, monkeypatch):
     assert notices(measured) and NOTE in json.loads(measured.out)["notes"][0]
 
 
+@pytest.mark.whole
 def test_cropped_nobody_says_it_and_the_recipe_tells(scan, monkeypatch):
     monkeypatch.chdir(scan)
     made = trabecula(
@@ -60,6 +62,7 @@ def test_cropped_nobody_says_it_and_the_recipe_tells(scan, monkeypatch):
     assert measured["shape"] == [39, 40, 40] and measured["notes"] == []
 
 
+@pytest.mark.whole
 def test_a_frame_is_cut_off_before_the_threshold_is_found(scan, monkeypatch):
     monkeypatch.chdir(scan)
     whole = tb.read("grey.tif")
@@ -72,6 +75,7 @@ def test_a_frame_is_cut_off_before_the_threshold_is_found(scan, monkeypatch):
     assert trabecula("rerun", "c.tif").sha256 == made.sha256
 
 
+@pytest.mark.whole
 def test_without_margins(scan):
     done = trabecula("measure", "sample:foam", "--quick", "--crop", "auto")
     assert done.lines == ["trabecula: sample:foam has no margins to crop"]

@@ -94,6 +94,7 @@ def test_plan_of_a_model_has_no_learning(place):
     assert method["learning"]["peak"] > 0 and method["memory"] == plan["memory"]
 
 
+@pytest.mark.whole
 def test_over_the_budget_it_is_made_in_blocks_and_goes_on_after_an_interruption(place, monkeypatch):
     asked = (
         "generate",

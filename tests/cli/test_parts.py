@@ -60,6 +60,7 @@ def request_of(image):
     return image.recipe.steps[0]["request"]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["ball.stl", "ball.ply", "plain.obj"])
 def test_a_surface_is_scaled_to_the_shape(place, name):
     image, output = generate("--mask", name, "--shape", 20, 20, 26)
@@ -70,6 +71,7 @@ def test_a_surface_is_scaled_to_the_shape(place, name):
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("name", "scale"), [("ball.stl", 1), ("ball.ply", 1), ("plain.obj", 40), ("ball.stl", 1.5)]
 )
@@ -82,11 +84,13 @@ def test_a_surface_without_a_shape_keeps_its_size(place, name, scale):
     assert image.spacing == (40.0,) * 3
 
 
+@pytest.mark.whole
 def test_a_surface_at_its_own_size_in_a_larger_shape(place):
     image, _ = generate("--mask", "ball.stl", "--mask-scale", 1, "--shape", 24)
     assert image.shape == (24, 24, 24) and not image.values[:4].any() and image.values[6:18].any()
 
 
+@pytest.mark.whole
 def test_a_volume_is_a_mask_as_it_is(place):
     image, output = generate("--mask", "form.tif")
     mask = tb.read("form.tif").values == 1
@@ -105,6 +109,7 @@ def test_python_makes_what_the_command_makes(place):
     np.testing.assert_array_equal(model.generate(None, mask=surface, seed=3).values, image.values)
 
 
+@pytest.mark.whole
 def test_a_mask_that_moved_or_changed_is_told(place):
     _, output = generate("--mask", "ball.ply", "--shape", 20)
     (place / "ball.ply").rename(place / "sphere.ply")
@@ -222,6 +227,7 @@ def test_periodic_axes(place, words, axes):
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
 
+@pytest.mark.whole
 def test_several_exemplars(place):
     image, output = generate("--shape", 16, exemplars=("scan.zarr", "other.zarr"))
     assert [steps[0]["source"] for steps in image.recipe.steps[0]["exemplars"]] == [

@@ -12,8 +12,39 @@ from trabecula.testing import METHOD_CHECKS, Inapplicable, MethodCase
 NEEDS = {"learn": "torch"}
 """A module that tells whether an extra is installed."""
 
+CHEAP = {"lattice", "noise"}
+"""Methods for which `make test` makes every check."""
 
-@pytest.fixture(scope="module", params=sorted(methods()))
+SHARED = {
+    "threads": {"bubbles", "chen", "mrf", "quilt", "texture"},
+    "slabs": {"kopf", "quilt", "sliced", "texture"},
+    "presets": {"kopf", "quilt", "texture"},
+    "blocks": {"bubbles", "chen", "quilt", "texture"},
+    "resume": {"bubbles", "kopf", "quilt", "sliced", "texture"},
+    "recipe": {"chen", "gan", "mrf", "quilt"},
+    "model file": {"chen", "gan", "kopf", "quilt", "sliced", "texture"},
+    "old processor": set(),
+    "exemplar unchanged": {"kopf", "mrf", "quilt", "sliced", "texture"},
+    "memory forecast": {"texture"},
+    "memory-mapped forecast": {"quilt", "texture"},
+    "learning forecast": {"kopf", "texture"},
+    "target fraction": {"chen", "gan", "kopf", "quilt", "sliced", "texture"},
+    "target field": {"kopf", "quilt", "texture"},
+    "refused targets": {"chen", "gan", "kopf", "mrf", "quilt", "sliced", "texture"},
+}
+"""Checks that `make test` makes for `CHEAP` methods and these, and `make test-all` for every one.
+Each method takes part in some of them, and each has a method of windows or of memory-mapped arrays.
+"""
+
+
+def _cases():
+    for name in sorted(methods()):
+        for check in METHOD_CHECKS:
+            quick = name in CHEAP | SHARED.get(check, {name})
+            yield pytest.param(name, check, marks=[] if quick else pytest.mark.whole)
+
+
+@pytest.fixture(scope="module")
 def case(request):
     for extra in methods()[request.param].extras:
         if importlib.util.find_spec(NEEDS[extra]) is None:
@@ -21,9 +52,14 @@ def case(request):
     return MethodCase(request.param)
 
 
-@pytest.mark.parametrize("check", METHOD_CHECKS)
+@pytest.mark.parametrize(("case", "check"), _cases(), indirect=["case"])
 def test_the_contract(case, check):
     try:
         METHOD_CHECKS[check](case)
     except Inapplicable as reason:
         pytest.skip(str(reason))
+
+
+def test_checks_that_are_shared_out_have_their_names():
+    assert set(SHARED) <= set(METHOD_CHECKS)
+    assert CHEAP.union(*SHARED.values()) <= set(methods())

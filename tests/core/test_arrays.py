@@ -125,6 +125,7 @@ ITEMS = st.one_of(
 )
 
 
+@pytest.mark.whole
 @given(st.lists(ITEMS, max_size=4).map(tuple))
 def test_an_index_gives_what_numpy_gives_or_is_refused(index):
     try:

@@ -99,6 +99,7 @@ def test_no_number_is_too_large_to_be_refused_quickly():
     assert math.isnan(float(Expression("0 / 0 + x", ("x",))(x=1.0)))
 
 
+@pytest.mark.whole
 @given(st.text(max_size=40) | st.text("x +-*/().,<>[]{}1:='\"", max_size=30))
 def test_any_text_is_a_formula_or_refused(text):
     with suppress(TrabeculaError):

@@ -27,6 +27,7 @@ plain = st.recursive(
 names = st.text(min_size=1).filter(lambda name: name not in ("verb", "sha256", "versions"))
 
 
+@pytest.mark.whole
 @given(st.lists(st.tuples(st.text(), st.dictionaries(names, plain, max_size=3)), max_size=4))
 def test_a_recipe_survives_json(steps):
     recipe = Recipe()

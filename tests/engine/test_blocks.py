@@ -81,6 +81,7 @@ def contents(folder):
     return {name: array[...].tobytes() for name, array in group.arrays()}, group.attrs["ome"], own
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("side", "chunk"), [(128, 128), (256, 128), (64, 64), (128, 64), (96, 96), (192, 96)]
 )
@@ -201,6 +202,7 @@ def test_a_run_that_died_before_the_store_had_its_name(run, tmp_path, monkeypatc
     assert run(second)[0] == digest(WHOLE) and second.made == []
 
 
+@pytest.mark.whole
 def test_planes_for_the_digest_never_fall_into_two_rows_of_chunks(run, monkeypatch):
     for at_once in (1, 5 * 130 * 257, 50 * 130 * 257, 1 << 30):
         monkeypatch.setattr(blocks, "_AT_ONCE", at_once)

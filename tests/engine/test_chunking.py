@@ -1,6 +1,7 @@
 """Tasks: all of every level, each once, none before what it is made from."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -47,6 +48,7 @@ def test_coarser_cubes_follow_as_soon_as_they_can():
     )
 
 
+@pytest.mark.whole
 @given(SIDES, st.integers(1, 9), st.data())
 def test_the_cells_that_a_box_meets(shape, side, data):
     box = tuple(tuple(sorted((data.draw(st.integers(0, n - 1)), n))) for n in shape)

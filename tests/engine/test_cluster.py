@@ -5,7 +5,6 @@ does not answer.
 import os
 import signal
 import socket
-import time
 
 import numpy as np
 import pytest

@@ -7,12 +7,14 @@ import sys
 import threading
 
 import numpy as np
+import pytest
 
 from trabecula.core.progress import listen
 from trabecula.engine.compile import kernel
 
 SCRIPT = """
 import numpy as np
+import pytest
 from trabecula.core.progress import listen
 from trabecula.engine.compile import kernel
 
@@ -74,6 +76,7 @@ def test_a_kernel_releases_the_gil():
     assert turns[0] < 2_000_000_000
 
 
+@pytest.mark.whole
 def test_compiling_is_said_once_and_not_at_all_from_the_cache(tmp_path):
     script = tmp_path / "kernels.py"
     script.write_text(SCRIPT)

@@ -60,6 +60,7 @@ def names(folder):
     return sorted(entry.name for entry in folder.iterdir())
 
 
+@pytest.mark.whole
 def test_a_run_begun_in_memory_goes_on_in_blocks(model, sha256, tmp_path):
     path = tmp_path / "x.zarr"
     stopped(model, path, 12)
@@ -92,6 +93,7 @@ def test_resume_finds_the_folder_that_was_chosen(model, sha256, tmp_path):
     assert "scratch" not in json.loads((path / "zarr.json").read_text())["attributes"]["trabecula"]
 
 
+@pytest.mark.whole
 def test_two_results_of_one_name_do_not_share_their_files(model, tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
@@ -116,6 +118,7 @@ def test_voxels_that_are_made_are_not_made_again(model, sha256, tmp_path, monkey
     assert resume(path).sha256 == sha256
 
 
+@pytest.mark.whole
 def test_voxels_without_their_note_are_made_again_from_the_last_state(
     model, sha256, tmp_path, monkeypatch
 ):

@@ -32,6 +32,7 @@ def reference(window, name, **options):
     )
 
 
+@pytest.mark.whole
 @given(
     arrays.arrays(
         np.uint8,

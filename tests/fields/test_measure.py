@@ -56,6 +56,7 @@ def test_plain_places_have_no_direction():
     assert not vectors.any() and not clarity.any()
 
 
+@pytest.mark.whole
 def test_a_field_is_made_again_from_its_recipe(tmp_path, bone):
     image = tb.crop(bone, 20)
     for made in (

@@ -72,6 +72,7 @@ def test_a_bar_that_is_pulled_stretches_as_hooke_says():
     assert np.allclose(u[:, :, :, 2], np.arange(13) / (9 * 0.5), atol=1e-6)
 
 
+@pytest.mark.whole
 def test_the_cantilever_keeps_bounds_and_volume_and_is_stiffer():
     field = fields.simp("cantilever")
     values = field.values
@@ -108,6 +109,7 @@ def test_no_other_density_of_that_volume_is_stiffer():
     )
 
 
+@pytest.mark.whole
 def test_penalty_drives_densities_to_the_bounds():
     soft, hard = (
         fields.simp("cantilever", (8, 4, 15), low=0.01, high=1, penalty=p, rounds=60).values
@@ -133,6 +135,7 @@ def test_a_wheel_is_symmetric_and_dense_at_its_feet():
     assert values[0, 0, 0] > 0.8 and values[0, 6, 6] > 0.8 and values[-1, 0, 0] < 0.35
 
 
+@pytest.mark.whole
 def test_a_mask_is_left_alone_and_the_rest_carries():
     mask = np.ones((8, 4, 15), bool)
     mask[3:5, :, 5:10] = False
@@ -217,6 +220,7 @@ def test_few_steps_are_enough_and_the_preconditioner_is_symmetric(shape):
     assert ab == pytest.approx(ba, rel=1e-9) and (precondition(a) * a).sum() > 0
 
 
+@pytest.mark.whole
 def test_memory_stays_below_what_is_checked():
     shape = (16, 12, 30)
     fields.simp("cantilever", (4, 2, 6), rounds=2)

@@ -139,6 +139,7 @@ def test_joins_run_inside_of_the_form():
             connect(solid, mask=wrong)
 
 
+@pytest.mark.whole
 def test_a_filled_form_keeps_its_limbs(bone, data):
     """Fill a cow with bone, 64 voxels long: two legs, a quarter of it, are loose."""
     mask = load_mask(data / "mesh_spot.ply", bone, shape=(64, 64, 64))

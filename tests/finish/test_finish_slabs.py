@@ -94,6 +94,7 @@ def test_pores_between_two_phases_need_the_whole(thin, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.whole
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=4, max_side=12)),

@@ -294,6 +294,7 @@ def noise(seed: int, smooth: float) -> np.ndarray:
     return (field > np.quantile(field, 0.75)).astype(np.uint8)
 
 
+@pytest.mark.whole
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.8, 1.3]), st.sampled_from([0.0, 0.11, 10.0]))
 @settings(max_examples=20)
 def test_topology_of_any_volume(seed, smooth, theta):

@@ -10,8 +10,24 @@ from frozen.cases import CASES, FILES, PRESETS, digest
 
 HASHES = json.loads((Path(__file__).parent / "hashes.json").read_text(encoding="utf-8"))
 
+QUICK = {
+    *("bubbles", "exemplar", "export", "fields", "finish", "gan", "lattice", "measure", "mesh"),
+    *("noise", "quilt", "report", "view", "chen-grey", "kopf-grey", "mrf-several", "sliced-mask"),
+    *("texture-fixed", "texture-graded", "texture-grey", "bubbles-preset.tif", "chen-colour.nrrd"),
+    *("crop.nrrd", "field", "noise.nrrd", "quilt.nrrd", "segment.nrrd", "texture-grey.npy"),
+}
+"""Cases, kinds of cases and files that take little time."""
 
-@pytest.mark.parametrize("name", CASES)
+
+def _cases(names):
+    """Return the names as parameters, the slow ones marked."""
+    for name in names:
+        kind = name.split("-")[0]
+        quick = name in QUICK or (kind in QUICK and ("." not in name or kind == "field"))
+        yield name if quick else pytest.param(name, marks=pytest.mark.whole)
+
+
+@pytest.mark.parametrize("name", _cases(CASES))
 def test_a_case_gives_the_frozen_result(name):
     try:
         result = CASES[name]()
@@ -40,7 +56,7 @@ RESULTS = sorted(
 )
 
 
-@pytest.mark.parametrize("name", RESULTS)
+@pytest.mark.parametrize("name", _cases(RESULTS))
 def test_the_recipe_of_an_old_file_makes_its_voxels(name):
     again = tb.rerun(FILES / name)
     assert digest(again) == digest(tb.read(FILES / name))

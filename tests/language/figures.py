@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import functools
 import io
 import tokenize
 from collections import Counter, defaultdict
@@ -612,10 +613,15 @@ def python_files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*.py") if "__pycache__" not in path.parts)
 
 
+@functools.cache
+def _nodes(path: Path) -> list[ast.AST]:
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
 def definitions(files: Sequence[Path], kinds: tuple[type, ...]) -> Iterator[Definition]:
     """Yield every definition of some kinds of node."""
     for path in files:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in _nodes(path):
             if isinstance(node, kinds):
                 yield Definition(node, f"{_shown(path)}:{node.lineno} {node.name}")  # type: ignore[attr-defined]
 

@@ -43,6 +43,7 @@ NAMES = [
 ]
 
 
+@pytest.mark.whole
 @settings(max_examples=80)
 @given(
     values=volumes(phases=2),
@@ -142,6 +143,7 @@ def test_what_slabs_cannot_tell_is_left_out_by_name():
         describe_slabs(volume, level="full")
 
 
+@pytest.mark.whole
 def test_transport_is_that_of_the_box_in_the_middle(bone):
     values = bone.values[:20, :20, :20]
     image = tb.Image(values, "labels", spacing=bone.spacing, unit=bone.unit)
@@ -186,6 +188,7 @@ def test_the_forecast_bounds_what_a_pass_takes(smooth):
     assert peak < forecast(volume, r_max=20, depth=32).peak < 2.5 * peak
 
 
+@pytest.mark.whole
 def test_the_forecast_bounds_a_pass_of_every_phase():
     noise = np.random.default_rng(8).random((96, 64, 60))
     for axis in range(3):

@@ -142,6 +142,7 @@ def test_void_alone_is_the_limit_of_a_poorly_conducting_solid():
     assert diffusivity(values, axis=0, tolerance=1e-7).value == pytest.approx(both, rel=1e-5)
 
 
+@pytest.mark.whole
 @given(volumes, st.sampled_from([0.0, 0.05, 0.5]))
 def test_bounds_are_never_violated(values, low):
     found = [

@@ -108,6 +108,7 @@ def test_half_resolution_has_the_same_frame():
     assert np.all(taken.position[counted] - np.argwhere(counted) == (1, 4, 3))
 
 
+@pytest.mark.whole
 def test_a_mosaic_falls_into_its_tiles():
     """Copy tiles of s^3 from random places: coherence(k) is about the share of pairs within a tile,
     patches about a tile.
@@ -128,6 +129,7 @@ def test_a_mosaic_falls_into_its_tiles():
     assert patches.largest <= 1.3 * s**3
 
 
+@pytest.mark.whole
 def test_independent_material_is_not_coherent():
     other = blobs((40, 40, 40), seed=6)
     shares = coherence(SCAN, other, k=(1, 4, 8), samples=500)
@@ -162,6 +164,7 @@ def test_flat_images_have_sources_too():
     assert coherence(scan, blobs((60, 60), seed=8), k=(8,), samples=200)[8] < 0.2
 
 
+@pytest.mark.whole
 def test_threads_do_not_matter_and_the_seed_decides():
     other = blobs((34, 30, 28), seed=9)
     with tb.threads(1):
@@ -172,6 +175,7 @@ def test_threads_do_not_matter_and_the_seed_decides():
     assert coherence(SCAN, other, seed=4, samples=100) != first
 
 
+@pytest.mark.whole
 @settings(max_examples=20)
 @given(seed=st.integers(0, 20))
 def test_pieces_share_out_what_counts(seed):
@@ -182,6 +186,7 @@ def test_pieces_share_out_what_counts(seed):
     assert np.all(np.diff(patches.sizes) <= 0)
 
 
+@pytest.mark.whole
 def test_diversity_of_equal_shifted_and_independent_images():
     realisations = [SCAN, blobs((40, 40, 40), seed=10), np.roll(SCAN, 6, axis=1)]
     found = diversity(realisations, samples=80)

@@ -45,6 +45,7 @@ def test_blank_planes_are_found(planes, value, axis, end):
     assert face.value == ("void", "solid")[value]
 
 
+@pytest.mark.whole
 def test_material_has_none():
     for seed in range(6):
         for sigma in (0.7, 2.0, 4.0):
@@ -72,6 +73,7 @@ def test_layers_ramps_lattices_and_walls_are_material():
         assert not find_margins(image(ramp.astype(np.uint8)))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["bone", "foam"])
 def test_samples_have_none(name):
     assert not find_margins(tb.sample(name)) and margin_note(tb.sample(name)) is None

@@ -213,6 +213,7 @@ def test_box_is_the_centre_and_halving_compares_it_with_itself():
     assert change == pytest.approx((1 + 2 / 8**2) / (1 + 2 / 4**2) - 1, abs=1e-6)
 
 
+@pytest.mark.whole
 def test_a_real_sandstone_is_balanced(data):
     image = tb.read(data / "berea_sandstone_a.tif")
     found = permeability(image, axis=0, box=64)

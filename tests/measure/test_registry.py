@@ -116,6 +116,7 @@ def toys(monkeypatch):
         monkeypatch.setitem(DESCRIPTORS, toy.name, toy)
 
 
+@pytest.mark.whole
 def test_a_new_entry_is_described_and_judged_and_shown_and_documented(foam, toys):
     found = describe(foam)
     assert found["toy_height"] == found["phases"]["solid"]["toy_height"] == height(foam)

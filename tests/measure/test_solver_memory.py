@@ -96,6 +96,7 @@ def test_as_many_solves_at_once_as_fit(monkeypatch):
     assert effective_properties._count_solves(solid, None, False) == 2
 
 
+@pytest.mark.whole
 @pytest.mark.skipif(
     not Path("/proc/self/clear_refs").exists() or "NUMBA_DISABLE_JIT" in os.environ,
     reason="Linux, compiled kernels",

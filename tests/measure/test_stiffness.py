@@ -160,6 +160,7 @@ def test_equals_elimination_with_void(values, edges):
     assert result.converged and result.imbalance < 1e-4
 
 
+@pytest.mark.whole
 @settings(max_examples=10)
 @given(small)
 def test_equals_elimination_with_two_solids(values):
@@ -197,6 +198,7 @@ def test_symmetric_and_between_reuss_and_voigt(values, with_void):
         assert np.linalg.eigvalsh(result.matrix - reuss)[0] > -1e-6
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("share", [0.35, 0.6])
 def test_isotropic_media_stay_below_hashin_and_shtrikman(share):
     matrix = np.mean(
@@ -212,6 +214,7 @@ def test_isotropic_media_stay_below_hashin_and_shtrikman(share):
     assert 0.1 * most_bulk < bulk < most_bulk and 0.1 * most_shear < shear < most_shear
 
 
+@pytest.mark.whole
 def test_scan_balances_whatever_the_threads(data):
     solid = (tifffile.imread(data / "trabecular_bone_a.tif") > 0).astype(np.uint8)
     with threads(1):

@@ -204,6 +204,7 @@ def test_a_damaged_mesh_is_refused(vertices, faces, message):
         Mesh(vertices, faces)
 
 
+@pytest.mark.whole
 def test_the_room_can_be_called_by_its_name_whoever_came_first():
     import subprocess
     import sys

@@ -247,6 +247,7 @@ def winding_number(mesh, points):
     return np.arctan2(top, bottom).sum(axis=1) / (2 * np.pi)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["mesh_bunny.ply", "mesh_spot.ply"])
 def test_real_meshes_agree_with_a_second_opinion(data, name):
     mesh = fit_mesh(read_mesh(data / name), shape=64, spacing=1)

@@ -77,6 +77,7 @@ def test_any_words_after_a_verb(folder, verb, rest):
     assert contents(folder) == before
 
 
+@pytest.mark.whole
 @few
 @given(st.lists(numbers, min_size=1, max_size=3), numbers, numbers, numbers, numbers)
 def test_any_values_of_the_options_of_generate(folder, shape, seed, memory, threads, value):
@@ -89,6 +90,7 @@ def test_any_values_of_the_options_of_generate(folder, shape, seed, memory, thre
     assert contents(folder) == before
 
 
+@pytest.mark.whole
 @few
 @given(
     numbers,
@@ -115,6 +117,7 @@ volumes = arrays.arrays(
 )
 
 
+@pytest.mark.whole
 @few
 @given(volumes, volumes)
 def test_any_small_volume_is_measured_and_judged_without_nan(folder, values, other):
@@ -151,6 +154,7 @@ plain_json = st.recursive(
 )
 
 
+@pytest.mark.whole
 @few
 @given(st.data())
 def test_any_change_of_a_recipe_is_told(folder, data):

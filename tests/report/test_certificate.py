@@ -44,6 +44,7 @@ def like(exemplar: tb.Image, values: np.ndarray) -> tb.Image:
     )
 
 
+@pytest.mark.whole
 def test_the_exemplar_itself_has_no_distance_and_is_named_a_copy(exemplar):
     certificate = verify(exemplar, exemplar)
     distances = {
@@ -67,6 +68,7 @@ def test_the_exemplar_itself_has_no_distance_and_is_named_a_copy(exemplar):
     assert any("quick" in reason for reason in quick.undecided)
 
 
+@pytest.mark.whole
 def test_another_sample_passes_what_shuffled_voxels_fail(exemplar):
     other = verify(exemplar, like(exemplar, field(1)))
     shuffled = verify(
@@ -128,6 +130,7 @@ def test_anisotropy_that_a_radial_mean_cannot_see_fails_along_an_axis():
     assert certificate.metrics["two_point_covariance_y"].passed
 
 
+@pytest.mark.whole
 def test_a_gaussian_field_matches_the_two_point_function_of_bone_and_is_called_broken(bone):
     field = tb.method("noise", exact=True).fit(bone).generate(96, seed=1)
     certificate = verify(bone, field)
@@ -138,6 +141,7 @@ def test_a_gaussian_field_matches_the_two_point_function_of_bone_and_is_called_b
     assert certificate.metrics["coherence"].passed, "noise is no copy"
 
 
+@pytest.mark.whole
 def test_the_baseline_stands_beside_and_fails_where_noise_must(bone):
     certificate = verify(bone, tb.method("texture").fit(tb.crop(bone, 60)).generate(60, seed=0))
     baseline = certificate.baseline
@@ -190,6 +194,7 @@ def test_what_faces_bias_is_extrapolated_to_the_size_of_the_image():
         assert expected == pytest.approx(5 + 3 / side)
 
 
+@pytest.mark.whole
 def test_bands_narrow_as_the_image_grows(exemplar):
     widths = []
     for n in (1, 2):
@@ -210,6 +215,7 @@ def test_bands_hold_the_exemplar_and_know_its_parts(exemplar):
     assert low < 0.7 < high and 0.98 * width < high - low < 2 * width
 
 
+@pytest.mark.whole
 def test_counts_are_scaled_to_the_volume(exemplar):
     double = like(exemplar, np.concatenate([exemplar.values, field(5)]))
     single, twice = (
@@ -223,6 +229,7 @@ def test_counts_are_scaled_to_the_volume(exemplar):
     )
 
 
+@pytest.mark.whole
 def test_fewer_loose_parts_are_no_fault_and_are_noted(exemplar):
     speckled = exemplar.values.copy()
     speckled[::4, ::4, ::4] = 1
@@ -237,6 +244,7 @@ def test_fewer_loose_parts_are_no_fault_and_are_noted(exemplar):
     assert far.value > far.real_band[1] and far.passed is None
 
 
+@pytest.mark.whole
 def test_a_small_exemplar_judges_nothing_and_says_so():
     small = field(6, (2 * LEAST_PART - 1,) * 3)
     certificate = verify(small, field(7, (40, 40, 40)))
@@ -254,6 +262,7 @@ def test_a_small_exemplar_judges_nothing_and_says_so():
     )
 
 
+@pytest.mark.whole
 def test_a_bare_margin_is_noted(exemplar):
     margin = exemplar.values.copy()
     margin[0] = 0
@@ -261,6 +270,7 @@ def test_a_bare_margin_is_noted(exemplar):
     assert any("first plane along z" in note and "crop" in note for note in certificate.notes)
 
 
+@pytest.mark.whole
 def test_several_images_two_dimensions_and_three_phases():
     flat, other = field(8, (96, 96)), field(9, (96, 96))
     certificates = verify(flat, flat, other, names=["itself", "other"])
@@ -276,6 +286,7 @@ def test_several_images_two_dimensions_and_three_phases():
     )
 
 
+@pytest.mark.whole
 def test_an_image_of_one_phase_fails_and_stays_json(exemplar):
     for value in (0, 1):
         certificate = verify(exemplar, like(exemplar, np.full((40, 40, 40), value, np.uint8)))
@@ -284,6 +295,7 @@ def test_an_image_of_one_phase_fails_and_stays_json(exemplar):
         json.dumps(certificate.to_json(), allow_nan=False)
 
 
+@pytest.mark.whole
 def test_the_words_of_the_json(exemplar):
     result = json.loads(json.dumps(verify(exemplar, exemplar).to_json(), allow_nan=False))
     assert set(result) == {
@@ -335,6 +347,7 @@ def test_what_does_not_correspond_is_refused(exemplar):
         verify(exemplar, exemplar, level="ful")
 
 
+@pytest.mark.whole
 def test_the_full_level_adds_physics_with_its_own_bands():
     solid = field(12, (48, 48, 48), share=0.4)
     certificate = verify(solid, field(13, (48, 48, 48), share=0.4), level="full", box=16)
@@ -359,6 +372,7 @@ def test_the_full_level_adds_physics_with_its_own_bands():
     assert "converged" in certificate.to_html()
 
 
+@pytest.mark.whole
 def test_an_exemplar_smaller_than_its_correlation_is_warned_of():
     wide = np.kron(field(5, (8, 8, 8), share=0.4), np.ones((8, 8, 8), np.uint8))
     assert any("correlated" in reason for reason in verify(wide, wide, level="quick").undecided)
@@ -366,6 +380,7 @@ def test_an_exemplar_smaller_than_its_correlation_is_warned_of():
     assert not any("correlated" in reason for reason in verify(fine, fine, level="quick").undecided)
 
 
+@pytest.mark.whole
 def test_realisations_are_compared_with_each_other(exemplar):
     twins = [like(exemplar, field(3))] * 2
     others = [like(exemplar, field(3)), like(exemplar, field(4))]

@@ -56,6 +56,7 @@ def ramp(low=0.2, high=0.6, seed=0):
     return tb.Image((noise < low + (high - low) * Z / (SIDE - 1)).astype(np.uint8), "labels")
 
 
+@pytest.mark.whole
 def test_a_stationary_field_has_no_trend_and_no_order():
     for seed in range(3):
         image = gaussian_field(seed)
@@ -75,6 +76,7 @@ def test_the_correlation_length_is_that_of_measure():
     assert measure_structure(stretched).lengths[0] == pytest.approx(3 * found[0], rel=0.25)
 
 
+@pytest.mark.whole
 def test_a_ramp_is_found_along_its_axis_alone():
     trends = {trend.name: trend for trend in inspect(ramp()).stationarity.trends}
     assert [name for name, trend in trends.items() if trend.found] == ["z"]
@@ -128,6 +130,7 @@ def test_noise_in_a_lattice_hides_nothing():
     assert inspect(tb.Image(values, "grey")).grey.noise == pytest.approx(40, rel=0.15)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["bone", "foam"])
 def test_samples_keep_the_default(name):
     found = inspect(tb.sample(name))
@@ -140,6 +143,7 @@ def test_samples_keep_the_default(name):
     assert set(found.origin.values()) == {"the sample"}
 
 
+@pytest.mark.whole
 def test_balls_are_bodies_and_pores_between_them_are_not():
     image = balls()
     assert has_bodies(image) == "solid"
@@ -154,6 +158,7 @@ def test_balls_are_bodies_and_pores_between_them_are_not():
     assert has_bodies(tb.Image(rods, "labels")) is None
 
 
+@pytest.mark.whole
 def test_three_phases_get_the_preset_that_keeps_them():
     values = gaussian_field(0).values + 2 * (gaussian_field(9, porosity=0.85).values > 0)
     found = inspect(tb.labels(np.minimum(values, 2)))
@@ -199,12 +204,14 @@ def test_too_small():
     assert inspect(np.zeros((3, 4, 5), np.uint8)).recommendation.method is None
 
 
+@pytest.mark.whole
 def test_fewer_than_six_correlation_lengths():
     found = inspect(gaussian_field(0, shape=64, length=24.0))
     assert any(text.startswith("what is typical along") for text in found.decidable.limits)
     assert found.stationarity.stationary is None or not found.stationarity.stationary
 
 
+@pytest.mark.whole
 def test_a_grey_scan_says_how_well_it_parts():
     solid = gaussian_field(0).values
     noise = np.random.default_rng(0).normal(0, 1, solid.shape)
@@ -224,6 +231,7 @@ def test_a_grey_scan_says_how_well_it_parts():
     assert "greys are lost there" in str(inspect(burnt))
 
 
+@pytest.mark.whole
 def test_margins_are_left_out_of_the_figures():
     inside = gaussian_field(0).values
     found = inspect(tb.Image(np.pad(inside, 3), "labels"))
@@ -266,6 +274,7 @@ def test_one_value_alone():
         assert inspect(image).structure.period is None
 
 
+@pytest.mark.whole
 def test_where_each_field_comes_from(tmp_path):
     values = gaussian_field(0, shape=32).values
     image = tb.Image(values, "labels", 19.5, "um", ("marrow", "bone"))
@@ -318,6 +327,7 @@ def test_an_array_whose_meaning_is_open_is_refused():
         inspect(np.zeros((30, 30)))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("file", "method", "preset"),
     [
@@ -334,6 +344,7 @@ def test_scans(data, file, method, preset):
     assert (found.recommendation.method, found.recommendation.preset) == (method, preset)
 
 
+@pytest.mark.whole
 def test_the_cortex_is_a_trend_and_berea_is_even(data):
     cortex = inspect(tb.read(data / "trabecular_bone_cortex_a.tif")).stationarity
     assert [trend.name for trend in cortex.trends if trend.found] == ["x"]

@@ -53,6 +53,7 @@ def quick():
     return verify(*volumes, names=["one", "two"], level="quick")
 
 
+@pytest.mark.whole
 def test_page_is_one_self_contained_file(certificate, tmp_path):
     path = tmp_path / "deep" / "certificate.html"
     html = certificate.to_html(path, pictures=[("a slice", PNG), ("of a file", _file(tmp_path))])

@@ -70,6 +70,7 @@ def list_failures(exemplar: tb.Image, image: tb.Image) -> list[str]:
     return wrong
 
 
+@pytest.mark.whole
 def test_other_samples_of_a_material_seldom_fail():
     """Judge forty figures of ten pairs: one in a hundred may leave its band."""
     wrong = [
@@ -87,6 +88,7 @@ def test_an_uneven_sample_fails(name):
     assert any(figure.startswith("fraction") for figure in list_failures(exemplar, fake))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["bone", "foam"])
 def test_uneven_samples_of_the_package_fail(name):
     exemplar = tb.sample(name)
@@ -95,6 +97,7 @@ def test_uneven_samples_of_the_package_fail(name):
     assert list_failures(exemplar, exemplar) == []
 
 
+@pytest.mark.whole
 def test_uneven_scans_fail(data):
     for name in ("trabecular_bone_a", "trabecular_bone_b", "berea_sandstone_a", "nmc_electrode_a"):
         scan = tb.crop(tb.read(data / f"{name}.tif"), 120)
@@ -105,6 +108,7 @@ def test_uneven_scans_fail(data):
             )
 
 
+@pytest.mark.whole
 def test_the_certificate_says_it_at_every_level_and_for_every_kind():
     exemplar = tb.Image(gaussian(1), "labels")
     hollow = fakes(tb.Image(gaussian(2), "labels"), 1.5)["hollow"]
@@ -136,6 +140,7 @@ def test_phases_are_judged_one_by_one():
     assert "fraction_trend_z_void" not in wrong
 
 
+@pytest.mark.whole
 def test_an_exemplar_with_a_trend_decides_nothing():
     graded = fakes(tb.Image(gaussian(1), "labels"), 1.5)["graded"]
     certificate = tb.verify(graded, graded, level="quick")
@@ -156,6 +161,7 @@ def spheres(seed: int, side: int = 96, radius: int = 5, count: int = 700) -> np.
     return solid
 
 
+@pytest.mark.whole
 def test_another_sample_of_a_material_that_is_no_noise_passes():
     found = tb.verify(tb.Image(spheres(1), "labels"), tb.Image(spheres(2), "labels"))
     assert found.verdict == "pass" and found.undecided == () and all(found.groups.values())

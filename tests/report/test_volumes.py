@@ -44,6 +44,7 @@ def certificate(picture, volume):
     return verify(picture, volume)
 
 
+@pytest.mark.whole
 def test_the_same_material_fails_nowhere_and_no_picture_decides_what_lies_in_space(certificate):
     assert certificate.failed == () and certificate.verdict == "not decided"
     assert any("connections in space" in reason for reason in certificate.undecided)
@@ -94,6 +95,7 @@ def test_what_only_a_volume_has_is_told_and_not_judged(volume, certificate):
     assert any("not judged" in note for note in certificate.notes)
 
 
+@pytest.mark.whole
 def test_level_full_tells_of_transport(picture):
     metrics = verify(picture, labels(smooth(2, (24, 24, 24))), level="full", box=16).metrics
     assert metrics["permeability_3d"].passed is None and metrics["permeability_3d_z"].value >= 0
@@ -111,6 +113,7 @@ def rods(seed: int, side: int = 48) -> np.ndarray:
     return values
 
 
+@pytest.mark.whole
 def test_rods_along_the_axes_are_caught_by_a_number(picture):
     made = rods(0)
     like = labels(smooth(4, (8, 128, 128), share=made.mean(), widths=(5, 5, 5))[4])
@@ -135,6 +138,7 @@ def test_slices_are_spread_evenly():
     assert len(take_slices(volume, "zx", 9)) == 4
 
 
+@pytest.mark.whole
 def test_two_views_of_a_material_that_is_longer_along_an_axis():
     """Take cells three times as long along x: pictures (z, y) and (z, x) or (y, x) differ."""
     grown = labels(smooth(6, (48, 48, 48), widths=(3, 3, 9)))
@@ -159,6 +163,7 @@ def test_two_views_of_a_material_that_is_longer_along_an_axis():
     )
 
 
+@pytest.mark.whole
 def test_broken_is_said_of_slices_too(picture):
     specks = (np.random.default_rng(0).random((48, 48, 48)) < 0.35).astype(np.uint8)
     for exemplar in (picture, [picture, picture]):
@@ -166,6 +171,7 @@ def test_broken_is_said_of_slices_too(picture):
         assert "Connectivity: BROKEN" in said
 
 
+@pytest.mark.whole
 def test_a_turned_picture_is_the_picture_turned():
     grown = labels(smooth(6, (48, 48, 48), widths=(3, 3, 9)))
     long = labels(smooth(7, (8, 128, 128), widths=(3, 3, 9))[4])
@@ -179,12 +185,14 @@ def test_a_turned_picture_is_the_picture_turned():
         )
 
 
+@pytest.mark.whole
 def test_a_stack_of_the_picture_is_a_copy(picture):
     stack = labels(np.repeat(picture.values[None, :64, :64], 64, axis=0))
     found = verify(picture, stack)
     assert found.metrics["coherence"].value > 1 / 3 and found.metrics["coherence"].passed is False
 
 
+@pytest.mark.whole
 def test_grey_and_colour_by_their_texture():
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 256, (40, 40, 40)).astype(np.uint8)
@@ -256,6 +264,7 @@ def test_a_picture_too_small_for_parts_judges_nothing(volume):
     assert found.passed is None and any("too small" in reason for reason in found.undecided)
 
 
+@pytest.mark.whole
 def test_the_command_line_and_the_page(tmp_path, monkeypatch, picture, volume):
     monkeypatch.chdir(tmp_path)
     tb.write(labels(picture.values, spacing=4.0, unit="um"), "picture.tif")

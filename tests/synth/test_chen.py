@@ -73,6 +73,7 @@ def test_the_penalties_spread_the_use_of_pixels():
     assert used[1] > 1.05 * used[0]
 
 
+@pytest.mark.whole
 def test_fractions_of_labels_are_exact():
     values = (np.random.default_rng(0).random((40, 40)) < 0.5).astype(float)
     for _ in range(3):

@@ -332,6 +332,7 @@ SETTINGS = {
 }
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", SETTINGS)
 @pytest.mark.parametrize("periodic", [False, True])
 def test_the_voxels_are_the_same(bone, spilled, name, periodic):

@@ -88,6 +88,7 @@ def test_sizes_that_contradict_each_other_are_refused(
         )
 
 
+@pytest.mark.whole
 def test_a_surface_keeps_its_size_in_python_as_on_the_command_line(scan, tmp_path, monkeypatch):
     """A ball of 14 voxels of 40 um, written in millimetres."""
     monkeypatch.chdir(tmp_path)

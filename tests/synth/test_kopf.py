@@ -57,6 +57,7 @@ def test_two_pictures_are_seen_in_their_own_views():
     assert along[2] < 0.4 * min(along[:2])
 
 
+@pytest.mark.whole
 def test_fractions_are_the_pictures_or_the_targets(bone, model):
     made = model.generate(30, seed=1)
     assert np.count_nonzero(made.values) == round(made.values.size * bone.values.mean())
@@ -71,6 +72,7 @@ def test_a_porosity_of_grey_is_refused():
         tb.method("kopf", **QUICK).fit(grey).generate(16, target={"porosity": 0.3})
 
 
+@pytest.mark.whole
 def test_the_picture_as_middle_slice_stays_and_is_gone_on_from(bone, model):
     shape = (33, 48, 48)
     known = np.zeros(shape, bool)
@@ -93,6 +95,7 @@ def test_a_form_is_filled_and_nothing_lies_outside(bone, model):
     assert np.count_nonzero(part) == round(np.count_nonzero(ball) * bone.values.mean())
 
 
+@pytest.mark.whole
 def test_a_periodic_tile_joins_its_other_end(model):
     made = model.generate((40, 36, 36), seed=3, periodic=(True, False, False)).values.astype(int)
     inside = np.mean(np.diff(made, axis=0) != 0)
@@ -101,6 +104,7 @@ def test_a_periodic_tile_joins_its_other_end(model):
     assert np.mean(opened[0] != opened[-1]) > 2 * inside
 
 
+@pytest.mark.whole
 def test_a_material_alike_in_all_directions_has_no_axes(bone, model):
     """Steps in the two-point function: the three axes and the diagonals agree within what one
     realisation scatters.
@@ -160,6 +164,7 @@ def test_a_picture_of_one_value_or_too_small_is_refused():
         tb.method("kopf").fit(stripes((11, 40)))
 
 
+@pytest.mark.whole
 def test_berea_from_one_slice(data):
     """The covariance of the scan comes out of a slice about as well as the slice itself has it
     (0.13).

@@ -18,6 +18,7 @@ def made(shape=64, *, target=None, periodic=False, mask=None, **settings):
     return tb.method("lattice", **{"cell_size": 32.0, **settings}).fit().generate(shape, **parts)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("phase", ["sheet", "network"])
 @pytest.mark.parametrize("cell", CELLS)
 def test_the_porosity_is_that_of_the_setting_and_of_the_target(cell, phase):

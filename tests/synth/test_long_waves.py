@@ -193,6 +193,7 @@ def test_a_step_with_long_waves_of_its_own_raises_them_less():
     assert found["with"] - even < 0.75 * (found["without"] - even)
 
 
+@pytest.mark.whole
 def test_results_are_as_even_as_bone():
     """Over windows of 20 voxels; without long waves held seed 1 is at 2.2 times the exemplar's
     spread, seed 2 at 1.45.

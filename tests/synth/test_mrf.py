@@ -282,6 +282,7 @@ def test_icm_is_the_literal_loop(kind):
     assert moves[0] > 0 < sum(moves[1:]), "the later sweeps say nothing"
 
 
+@pytest.mark.whole
 def test_icm_ends_where_the_temperature_has_fallen_by_95_per_cent(picture):
     made = tb.method("mrf", preset="paper", scales=2).fit(picture).generate((14, 15, 16), seed=1)
     scales = made.recipe.steps[-1]["report"]["scales"]
@@ -333,6 +334,7 @@ def test_upsampling_gives_one_of_eight_or_all(picture):
         assert agree == 1 if way == "all" else agree < 0.75
 
 
+@pytest.mark.whole
 def test_the_feedback_holds_shares_and_target(picture):
     model = tb.method("mrf", sweeps=(6, 8)).fit(picture)
     made = model.generate((24, 26, 22), seed=2)
@@ -383,6 +385,7 @@ def test_tilted_patches_have_the_porosity(picture):
         assert np.mean(found.centres == 0) == pytest.approx(wanted, abs=0.01)
 
 
+@pytest.mark.whole
 def test_fixed_voxels_stay_and_the_material_goes_on(picture):
     """Check the picture itself as the middle slice: unchanged, and the next slices agree with it
     far more than by chance.
@@ -405,6 +408,7 @@ def test_fixed_voxels_stay_and_the_material_goes_on(picture):
     assert same[12] > middle
 
 
+@pytest.mark.whole
 def test_outside_a_mask_is_void_and_does_not_matter(picture):
     shape = (20, 22, 24)
     mask = np.zeros(shape, bool)
@@ -415,6 +419,7 @@ def test_outside_a_mask_is_void_and_does_not_matter(picture):
     assert made[mask].mean() == pytest.approx(picture.values.mean(), abs=0.05)
 
 
+@pytest.mark.whole
 def test_a_periodic_result_has_no_seam(picture):
     model = tb.method("mrf", sweeps=(6, 8)).fit(picture)
     for periodic in (True, False):
@@ -425,6 +430,7 @@ def test_a_periodic_result_has_no_seam(picture):
         assert (seam > inside - 0.06) == periodic
 
 
+@pytest.mark.whole
 def test_two_pictures_rule_their_own_planes():
     """Check layers across z, seen across y and x; slices across z are left to them."""
     rng = np.random.default_rng(8)
@@ -444,6 +450,7 @@ def test_two_pictures_rule_their_own_planes():
         )
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("kind", ["grey", "colour"])
 def test_grey_and_colour_take_real_values(kind):
     rng = np.random.default_rng(9)
@@ -506,6 +513,7 @@ def test_known_voxels_are_halved_to_the_first_of_eight():
     assert half[1, 1, 0] == values[2, 3, 1]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("relaxation", ["gibbs", "icm", "annealing"])
 def test_an_interrupted_run_goes_on_bit_for_bit(relaxation, picture, tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint, "EVERY", 0.0)

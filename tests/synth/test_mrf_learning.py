@@ -541,6 +541,7 @@ def report(image):
     return image.recipe.steps[-1]["report"]
 
 
+@pytest.mark.whole
 def test_an_isotropic_picture_goes_by_turned_planes_and_a_striped_one_does_not():
     assert report(made(blobs(48), 10))["oblique"] is True
     assert report(made(blobs(48, sigma=(8, 1)), 10))["oblique"] is False
@@ -616,6 +617,7 @@ def test_strong_couplings_do_not_turn_everything_over_at_every_sweep(oblique):
     assert np.mean(overlaps[2:]) > -0.5, overlaps
 
 
+@pytest.mark.whole
 def test_couplings_bring_the_autocorrelation_nearer_to_the_pictures():
     """Check against a run without them, in which domains grow from sweep to sweep."""
     picture = blobs(64, sigma=(2.5, 2.5))

@@ -69,6 +69,7 @@ def split_request(picture, names):
     return {name: value for part in names for name, value in every[part].items()}
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("kind", "settings", "parts"),
     [

@@ -272,7 +272,7 @@ def _check_presets(case: MethodCase) -> None:
         )
 
 
-_BOXES = (((0, 10), (5, 30), (3, 4)), ((20, 34), (0, 30), (30, 37)), ((33, 34), (29, 30), (36, 37)))
+_BOXES = (((0, 10), (5, 14), (3, 4)), ((16, 26), (0, 14), (30, 37)), ((25, 26), (13, 14), (36, 37)))
 
 
 @_check("windows")
@@ -368,7 +368,7 @@ def _parts(case: MethodCase) -> dict[str, dict[str, Any]]:
         corner = (np.add.outer(np.arange(SHAPE[1]), np.arange(SHAPE[2])) // 5) % 2
         values = np.broadcast_to(corner, SHAPE).astype(case.model.dtype)
         fixed = Image(values, **case.model.fields(case.request()))
-        held = np.broadcast_to(np.arange(SHAPE[0])[:, None, None] < 9, SHAPE).copy()
+        held = np.broadcast_to(np.arange(SHAPE[0])[:, None, None] < 6, SHAPE).copy()
         parts["fixed"] = {"fixed": fixed, "known": held}
     return parts
 

@@ -22,13 +22,13 @@ from trabecula.synth.api.capabilities import Capabilities
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.api.registry import method_class, methods
 
-SHAPE = (34, 30, 37)
-"""Odd and even sides, no multiple of a step or of a level."""
+SHAPE = (26, 14, 37)
+"""Odd and even sides, no multiple of a step, of a level or of a block."""
 
 SEED = 5
 
 FORM = (
-    np.hypot.outer(np.arange(-17, 17), np.hypot.outer(np.arange(-15, 15), np.arange(-18, 19))) < 15
+    np.hypot.outer(np.arange(-13, 13), np.hypot.outer(np.arange(-7, 7), np.arange(-18, 19))) < 14
 )
 """A ball of the shape, cut off."""
 

@@ -44,6 +44,7 @@ def test_porosity_is_that_of_the_crumb():
     assert porosity_of(made, room & BALL) == pytest.approx(0.5, abs=1e-4)
 
 
+@pytest.mark.whole
 def test_scattered_blocks_tell_the_level_of_what_is_large(monkeypatch):
     """Both ways of counting, of one picture: 1.4 million voxels, of which 1 in 20 is looked at."""
     model, request = (

@@ -132,6 +132,7 @@ def own():
     return known, tb.method("bubbles", trials=20).fit(known)
 
 
+@pytest.mark.whole
 def test_a_foams_own_settings_are_nearly_found(own):
     known, model = own
     report = model.report
@@ -155,6 +156,7 @@ def test_the_recipe_keeps_the_users_settings_and_tells_what_was_found(own):
     assert step["report"]["fit"]["found"]["density"] == model.found.density
 
 
+@pytest.mark.whole
 def test_the_same_exemplar_gives_the_same_settings_for_any_number_of_threads():
     known = exemplar(32)
     one = tb.method("bubbles", trials=6).fit(known)
@@ -163,6 +165,7 @@ def test_the_same_exemplar_gives_the_same_settings_for_any_number_of_threads():
     assert one.found == again.found and one.report == again.report
 
 
+@pytest.mark.whole
 def test_what_was_given_is_kept():
     known = exemplar(32)
     model = tb.method("bubbles", trials=6, spread=0.1, density=0.004, coalescence=0.25).fit(known)
@@ -173,6 +176,7 @@ def test_what_was_given_is_kept():
     assert plain.generate(20, seed=1).spacing == (0.5,) * 3
 
 
+@pytest.mark.whole
 def test_a_direction_is_found_where_there_is_one():
     long = exemplar(flow="0, 1, 0", randomness=0.5)  # x', y', z': along y
     model = tb.method("bubbles", trials=3).fit(long)
@@ -182,6 +186,7 @@ def test_a_direction_is_found_where_there_is_one():
     assert tb.method("bubbles", trials=1).fit(exemplar()).found.flow == "none"
 
 
+@pytest.mark.whole
 def test_a_picture_teaches_pictures():
     picture = tb.method("bubbles", distance=14, porosity=0.6).fit().generate((150, 160), seed=2)
     model = tb.method("bubbles", trials=8).fit(picture)
@@ -198,6 +203,7 @@ def test_an_exemplar_with_bubbles_at_its_rim_alone_is_refused():
         tb.method("bubbles").fit(rim)
 
 
+@pytest.mark.whole
 def test_a_file_tells_what_was_found(tmp_path, monkeypatch):
     """Load without a search."""
     model = tb.method("bubbles", trials=4).fit(tb.crop(tb.sample("bone"), 24))

@@ -98,6 +98,7 @@ def test_what_cannot_be_followed_or_filled_is_refused_in_a_line(loaf, words, tol
     assert re.search(told, refused(*START, *words, "--shape", 24, "--out", "none.npy"))
 
 
+@pytest.mark.whole
 def test_a_field_of_vectors_in_a_file_is_found_again(here):
     field = np.random.default_rng(1).normal(size=(2, 3, 2, 3))
     np.save("field.npy", field)

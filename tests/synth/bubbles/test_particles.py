@@ -33,6 +33,7 @@ def test_one_particle_without_a_flow_becomes_a_square_a_round():
     assert air.sum() == 11**2
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("separation", [1, 2, 4])
 @pytest.mark.parametrize("shape", [(60, 50), (20, 24, 22)])
 def test_particles_stay_apart(shape, separation):

@@ -222,6 +222,7 @@ def test_anisotropy_is_kept():
     assert two_point(material, r_max=6, axis=0)[6] > 1.15 * two_point(material, r_max=6, axis=1)[6]
 
 
+@pytest.mark.whole
 def test_three_phases_keep_fractions_and_two_point_functions():
     first = exponential((60, 60, 60), scale=4, seed=4, fraction=0.5)
     second = exponential((60, 60, 60), scale=2, seed=5, fraction=0.4)

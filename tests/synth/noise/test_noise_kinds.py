@@ -142,6 +142,7 @@ def test_the_porosity_is_exact_where_it_is_asked_for(kind):
         exact.window(20, [(0, 4)] * 3)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("porosity", [0.15, 0.6, 0.92])
 @pytest.mark.parametrize("kind", LATTICES)
 def test_the_level_of_windows_has_the_porosity_in_the_mean(kind, porosity):
@@ -303,6 +304,7 @@ def test_inverted_noise_has_the_porosity_and_the_other_shape():
     assert np.mean(pores != balls) > 0.99, "what was solid is void"
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_forecast_of_memory_holds(kind):
     """With one thread: what several hold at the same moment is up to chance, and the forecast

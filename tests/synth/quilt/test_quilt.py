@@ -150,6 +150,7 @@ def test_a_tile_repeats_without_a_seam(model):
     assert label_components(made.values == 1, periodic=True)[1].size == 1
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("connected", ["solid", "void", "both"])
 def test_what_is_to_hang_together_does(connected):
     rng = np.random.default_rng(5)
@@ -187,6 +188,7 @@ def test_where_no_piece_fits_struts_make_one_body():
     assert ndimage.label(made.values)[1] == 1
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("seed", range(2))
 def test_sparse_bone_is_one_piece(seed):
     model = tb.method("quilt", patch=14, overlap=5, candidates=500).fit(

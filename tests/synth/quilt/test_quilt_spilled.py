@@ -87,6 +87,7 @@ def test_repair(blobs, connected, tmp_path):
     assert trace.summary()["mismatch"]["max"] > 0
 
 
+@pytest.mark.whole
 def test_islands_and_patches_taken_back(tmp_path, monkeypatch):
     """Check islands and patches taken back while the table grows."""
     rng = np.random.default_rng(5)
