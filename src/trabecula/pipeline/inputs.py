@@ -22,7 +22,7 @@ from trabecula.io import files
 from trabecula.io.lazy import open_slabs, slabs_if_large
 from trabecula.io.units import has_length, to_metres
 from trabecula.mesh.files import read_mesh
-from trabecula.mesh.formats import FORMATS as SURFACES
+from trabecula.mesh.formats import READABLE as SURFACES
 from trabecula.mesh.voxels import fit_mesh, scale_mesh, voxelise
 
 SAMPLE_PREFIX = "sample:"
@@ -198,8 +198,8 @@ def load_mask(
     Parameters
     ----------
     source : path
-        A surface (.stl, .ply, .obj, .3mf), or a volume of labels in which everything but void is
-        filled.
+        A surface (the suffixes of `read_mesh`), or a volume of labels in which everything but
+        void is filled.
     exemplar : Image, (Z, Y, X) or (Y, X)
         Its voxels are the mask's.
     shape : sequence of int, optional
