@@ -31,7 +31,7 @@ from trabecula.pipeline.plan import (
     budget_for,
     check_block_options,
     choose_blocks,
-    unfinished_run,
+    find_unfinished,
 )
 from trabecula.pipeline.replay import model_and_request
 from trabecula.synth.api.method import Model
@@ -176,7 +176,7 @@ def _write_out_of_core(
 ) -> Result:
     """Make the whole volume in scratch files, then copy it from these into a store."""
     model, request = run.model, run.request
-    unfinished = unfinished_run(model, request, run.path)
+    unfinished = find_unfinished(model, request, run.path)
     budget = available_memory() if memory is None else memory
     plan = plan_whole(model, request, budget, run.blocks.chunk)
     pages = plan.memory["pages"]
@@ -311,7 +311,7 @@ def resume(
         # Of a run that was killed after its last block and before it removed them.
         clear_scratch(target.beside(".scratch"))
         return _describe_result(target)
-    step = _interrupted_step(target)
+    step = _find_step(target)
     model, request = model_and_request(step, folder=target.folder, **moved)
     _check_same_run(model, request, target, step)
     return generate_to(model, request, target, memory=memory, cluster=cluster, scratch=scratch)
@@ -349,7 +349,7 @@ def _describe_result(target: Location) -> Result:
     return Result(path_or_remote(target), shape, text, recipe)
 
 
-def _interrupted_step(target: Location) -> Mapping[str, Any]:
+def _find_step(target: Location) -> Mapping[str, Any]:
     """Return the recipe's step of the run that was interrupted.
 
     Raises

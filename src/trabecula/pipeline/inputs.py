@@ -134,7 +134,7 @@ def load_like(
     image = load(source, threshold="none")
     if image.kind == "grey" and exemplar.kind == "labels":
         image = load(source, threshold=threshold)
-    new = _unstated_fields(image, exemplar, spacing)
+    new = _find_unstated(image, exemplar, spacing)
     return declare_fields(image, **new) if new else image
 
 
@@ -149,11 +149,11 @@ def slabs_like_if_large(
     volume = slabs_if_large(source, need=need, memory=memory)
     if volume is None:
         return None
-    new = _unstated_fields(volume, exemplar, None)
+    new = _find_unstated(volume, exemplar, None)
     return open_slabs(source, **new) if new else volume
 
 
-def _unstated_fields(
+def _find_unstated(
     image: Image | Slabs, exemplar: Image, spacing: Callable[[], Sequence[float]] | None
 ) -> dict[str, Any]:
     """Return the fields of the exemplar that a result's file does not state."""
@@ -307,11 +307,11 @@ def load_fixed(
     if shape is None or corner is None:
         raise InputError("a scan at a corner needs the shape around it: give --shape")
     if scan.ndim == 2:
-        return _fixed_slice(scan, exemplar, as_shape(shape), corner, view, edges)
+        return _place_slice(scan, exemplar, as_shape(shape), corner, view, edges)
     return place(scan, shape, corner=corner), block(scan.shape, shape, corner=corner)
 
 
-def _fixed_slice(
+def _place_slice(
     picture: Image,
     exemplar: Image,
     shape: tuple[int, ...],

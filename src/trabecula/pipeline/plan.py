@@ -112,7 +112,7 @@ def choose_blocks(
     plan = model.plan(request)
     budget = available_memory() if memory is None else memory
     into_store = suffix_of(os.fspath(path)) == ".zarr"
-    unfinished = unfinished_run(model, request, path) if into_store else None
+    unfinished = find_unfinished(model, request, path) if into_store else None
     # At an address a run that can be resumed is worth more than the little that blocks cost.
     whole_allowed = not (makes_boxes(model) and is_address(path))
     free_choice = unfinished is None and chunks is None and workers is None
@@ -186,7 +186,7 @@ def budget_for(path: str | os.PathLike[str], memory: int | None) -> int | None:
     return max(0, (available_memory() if memory is None else memory) - location_of(path).memory)
 
 
-def unfinished_run(
+def find_unfinished(
     model: Model, request: Request, path: str | os.PathLike[str]
 ) -> Unfinished | None:
     """Return the unfinished store of an interrupted run of the same model and request, if any."""
