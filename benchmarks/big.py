@@ -27,8 +27,7 @@ import trabecula as tb
 from common import table
 from trabecula.engine import checkpoint
 from trabecula.engine.blocks import boxes_of
-from trabecula.pipeline.generate import generate_to, partial_path
-from trabecula.pipeline.resume import resume
+from trabecula.pipeline.generate import generate_to, partial_path, resume
 from trabecula.synth.api.method import Model
 from trabecula.synth.api.registry import methods
 

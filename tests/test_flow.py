@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import trabecula as tb
+from trabecula.cli import demo
 from trabecula.core.recipe import Recipe, digest
 from trabecula.errors import FileError, InputError, NotReproducedError, UnknownNameError
-from trabecula.pipeline import demo, inputs, outputs, replay
+from trabecula.pipeline import inputs, outputs, replay
 
 SETTINGS = {"neighbourhood": 4, "first_rounds": 2, "rounds": (1,)}
 

@@ -220,14 +220,17 @@ def settings_of(spec: Capabilities) -> list[tuple[str, str, str]]:
 def formats_page() -> str:
     """Return the page of the suffixes that are read and written."""
     from trabecula.io.formats import SLICES, suffixes
-    from trabecula.mesh.formats import FORMATS
+    from trabecula.mesh.formats import FORMATS, READABLE
 
     rows: dict[tuple[str, str], list[str]] = {}
     for suffix, form in suffixes().items():
         rows.setdefault((form.name, form.note), []).append(f"`{suffix}`")
     volumes = [(" ".join(names), name, note) for (name, note), names in rows.items()]
     volumes.append(("`/`", SLICES.name, SLICES.note))
-    surfaces = [(f"`{suffix}`", form.note) for suffix, form in FORMATS.items()]
+    surfaces = [
+        (f"`{suffix}`", "read, written" if suffix in FORMATS else "read (extra `mesh`)", form.note)
+        for suffix, form in READABLE.items()
+    ]
     return f"""# Formats
 
 How they are used: [read and write formats](../howto/formats.md).
@@ -236,9 +239,9 @@ How they are used: [read and write formats](../howto/formats.md).
 
 {table(("suffix", "format", "note"), volumes)}
 
-## Surfaces, written
+## Surfaces
 
-{table(("suffix", "format"), surfaces)}
+{table(("suffix", "", "format"), surfaces)}
 """
 
 

@@ -12,8 +12,7 @@ from trabecula.core.errors import ClusterError, FileError
 from trabecula.core.progress import listen
 from trabecula.core.recipe import digest
 from trabecula.engine import checkpoint, memmap
-from trabecula.pipeline.generate import generate_to
-from trabecula.pipeline.resume import resume
+from trabecula.pipeline.generate import generate_to, resume
 from trabecula.synth.texture.method import TextureModel
 
 REQUEST = tb.Request((34, 40, 38), seed=4)

@@ -15,7 +15,7 @@ from trabecula.core.recipe import Recipe, digest
 from trabecula.engine import store
 from trabecula.engine.blocks import StoredVolume, boxes_of, slices_of, stream
 from trabecula.engine.multiscale import halve_resolution
-from trabecula.engine.storage.location import (
+from trabecula.engine.storage import (
     Folder,
     Remote,
     is_address,

@@ -5,7 +5,7 @@ from math import prod
 import pytest
 
 from trabecula.engine.chunking import boxes_of
-from trabecula.engine.timing import seconds_of, seconds_of_whole
+from trabecula.pipeline.plan import seconds_of, seconds_of_whole
 
 
 class Maker:

@@ -390,6 +390,61 @@ def _noise_exact() -> tb.Image:
     return tb.method("noise", reach=8, exact=True).fit(bone(24)).generate(SHAPE, seed=8)
 
 
+def lattice(cell_size: Any = 24.0, **settings: Any) -> Any:
+    """Return a model of cells of 8 voxels."""
+    return tb.method("lattice", cell_size=cell_size, **settings).fit(spacing=3.0, unit="um")
+
+
+for _cell in (
+    *("gyroid", "schwarz_p", "schwarz_d", "iwp", "neovius", "fischer_koch_s", "frd"),
+    *("simple_cubic", "bcc", "fcc", "octet", "kelvin", "diamond"),
+):
+
+    @case(f"lattice-{_cell}")
+    def _lattice(cell: str = _cell) -> tb.Image:
+        return lattice(cell=cell).generate(SHAPE, seed=1)
+
+
+@case("lattice-network")
+def _lattice_network() -> list[tb.Image]:
+    return [
+        lattice(cell=cell, phase="network", porosity=0.5).generate(SHAPE, seed=1)
+        for cell in ("gyroid", "iwp")
+    ]
+
+
+@case("lattice-graded")
+def _lattice_graded() -> list[tb.Image]:
+    target = {"porosity": ramp(0.5, 0.8)}
+    return [
+        lattice(cell=cell).generate(tb.Request(SHAPE, seed=1, target=target))
+        for cell in ("gyroid", "kelvin")
+    ]
+
+
+@case("lattice-direction")
+def _lattice_direction() -> tb.Image:
+    turned = lattice([18, 24, 30], cell="diamond", direction=[1, 1, 1])
+    return turned.generate(SHAPE, seed=1)
+
+
+@case("lattice-coordinates")
+def _lattice_coordinates() -> tb.Image:
+    rings = ["z / 24", "hypot(y - Y / 2, x - X / 2) / 24", "3 * atan2(y - Y / 2, x - X / 2) / pi"]
+    return lattice(None, coordinates=rings).generate(SHAPE, seed=1)
+
+
+@case("lattice-periodic-mask")
+def _lattice_periodic_mask() -> tb.Image:
+    request = tb.Request(SHAPE, seed=1, periodic=(True, False, True), mask=ball())
+    return lattice().generate(request)
+
+
+@case("lattice-window")
+def _lattice_window() -> np.ndarray:
+    return lattice(cell="octet").window(SHAPE, ((-5, 9), (3, 17), (30, 45)), seed=1)
+
+
 # Windows, and volumes in blocks
 
 

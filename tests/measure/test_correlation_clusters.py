@@ -1,5 +1,6 @@
-"""Two-point cluster function: pairs count_pairs one by one, and bodies whose overlap is known."""
+"""Two-point cluster function: pairs counted one by one, and bodies whose overlap is known."""
 
+import sys
 from collections import deque
 from itertools import pairwise, product
 
@@ -10,8 +11,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 import trabecula as tb
-from trabecula.measure.correlation import clusters, two_point, two_point_cluster
+from trabecula.measure.correlation import two_point, two_point_cluster
 
+MODULE = sys.modules[two_point.__module__]  # its name is the function's
 FAR = {4: 1, 6: 1, 8: 2, 18: 2, 26: 3}
 
 
@@ -58,7 +60,7 @@ def count_pairs(labels, r_max, mask, spacing, periodic):
 @pytest.fixture(params=["one by one", "transformed"])
 def way(request, monkeypatch):
     """Return each of the two ways of counting, for every cluster."""
-    monkeypatch.setattr(clusters, "_PAIR", 0.0 if request.param == "one by one" else 1e6)
+    monkeypatch.setattr(MODULE, "_PAIR", 0.0 if request.param == "one by one" else 1e6)
 
 
 @settings(max_examples=20)
@@ -80,7 +82,7 @@ def test_equals_pairs_counted_one_by_one(seconds, inside, neighbours, periodic, 
     options = {"connectivity": connectivity, "periodic": periodic, "mask": mask if masked else None}
     image = tb.Image(inside, "labels", spacing=spacing)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(clusters, "_PAIR", seconds)
+        patch.setattr(MODULE, "_PAIR", seconds)
         radial = two_point_cluster(image, r_max=2, **options)
     np.testing.assert_allclose(radial, count_pairs(labels, 2, mask, spacing, periodic), atol=1e-12)
     along = two_point_cluster(image, r_max=2, axis=-1, **options)
@@ -175,8 +177,8 @@ def test_an_empty_phase_and_wrong_neighbours():
 def test_a_real_scan_both_ways_alike(data, monkeypatch):
     electrode = tb.labels(tb.read(data / "electrode_3phase_a.tif").values[:28, :32, :30])
     curves = []
-    for seconds in (0.0, clusters._PAIR, 1e-6):
-        monkeypatch.setattr(clusters, "_PAIR", seconds)
+    for seconds in (0.0, MODULE._PAIR, 1e-6):
+        monkeypatch.setattr(MODULE, "_PAIR", seconds)
         curves.append(two_point_cluster(electrode, phase=0, r_max=12))
     np.testing.assert_allclose(curves[1], curves[0], atol=1e-13)
     np.testing.assert_allclose(curves[2], curves[0], atol=1e-13)

@@ -12,7 +12,7 @@ from trabecula.measure import (
     triple_phase_line_density,
     triple_phase_lines,
 )
-from trabecula.measure.triple_kernels import REACH
+from trabecula.measure.triple_lines import REACH
 
 NAMES = ("void", "a", "b")
 

@@ -1,5 +1,6 @@
 """Reading surfaces: round trips, files of other programs, and damaged files."""
 
+import sys
 import zipfile
 
 import numpy as np
@@ -7,10 +8,11 @@ import pytest
 import trimesh
 
 import trabecula as tb
-from trabecula.errors import FileError, InputError, UnknownNameError
+from trabecula.errors import FileError, InputError, MissingExtraError, UnknownNameError
 from trabecula.mesh.check import check
 from trabecula.mesh.files import read_mesh, write_mesh
 from trabecula.mesh.formats import FORMATS
+from trabecula.pipeline.inputs import load_mask
 
 CUBE = trimesh.creation.box((1, 2, 3))
 
@@ -179,6 +181,22 @@ def test_3mf_builds_its_components_at_their_places(tmp_path):
     assert foot.unit == "inch" and foot.vertices.max() == 12
 
 
+def test_3mf_of_several_parts_as_slicers_write_it(tmp_path):
+    path = 'p:path="/3D/Objects/one.model"'
+    objects = (
+        '<object id="1" xmlns:p="http://schemas.microsoft.com/3dmanufacturing/production/2015/06">'
+        f'<components><component objectid="1" {path}/><component objectid="3" {path} '
+        'transform="1 0 0 0 1 0 0 0 1 0 0 5"/></components></object>'
+    )
+    nested = '<object id="3"><components><component objectid="1"/></components></object>'
+    main = model("millimeter", '<item objectid="1"/>', objects)
+    whole = package(tmp_path / "parts.3mf", main)
+    with zipfile.ZipFile(whole, "a") as archive:
+        archive.writestr("3D/Objects/one.model", model("millimeter", "", tetrahedron(1) + nested))
+    found = check(read_mesh(whole))
+    assert found.watertight and found.components == 2 and found.bounds == ((0, 0, 0), (1, 1, 6))
+
+
 def test_3mf_that_holds_itself_is_told(tmp_path):
     objects = '<object id="1"><components><component objectid="1"/></components></object>'
     with pytest.raises(FileError, match="nested too deep"):
@@ -229,3 +247,59 @@ def test_what_is_no_surface_is_refused(tmp_path):
         read_mesh(tmp_path / "part.stp")
     with pytest.raises(UnknownNameError, match="unknown unit"):
         read_mesh(write_mesh(tb.mesh(np.ones((2, 2, 2), int)), tmp_path / "a.stl"), unit="parsec")
+
+
+def scene():
+    """Return two boxes at their places, of volumes 6 and 1, and points, which are no surface."""
+    moved = trimesh.transformations.translation_matrix((5, 0, 0))
+    found = trimesh.Scene([CUBE, trimesh.PointCloud(np.zeros((3, 3)))])
+    found.add_geometry(trimesh.creation.box((1, 1, 1)), transform=moved)
+    return found
+
+
+@pytest.mark.parametrize("suffix", ["glb", "gltf"])
+def test_gltf_joins_the_bodies_of_its_scene_in_metres(tmp_path, suffix):
+    if suffix == "glb":
+        scene().export(tmp_path / "model.glb")
+    else:
+        for name, content in trimesh.exchange.gltf.export_gltf(scene()).items():
+            (tmp_path / name).write_bytes(content)
+    mesh = read_mesh(tmp_path / f"model.{suffix}")
+    found = check(mesh)
+    assert mesh.unit == "m" and found.watertight and found.components == 2
+    assert found.volume == pytest.approx(7) and found.bounds[1] == pytest.approx((5.5, 1, 1.5))
+
+
+def test_off_is_a_form_to_fill_and_an_open_one_is_refused(tmp_path):
+    trimesh.creation.icosphere(radius=6).export(tmp_path / "ball.off")
+    bone = tb.crop(tb.sample("bone"), 16)
+    form = load_mask(tmp_path / "ball.off", bone, scale=40)
+    assert form.shape == (12, 12, 12) and 0.4 < form.values.mean() < 0.6
+    assert read_mesh(tmp_path / "ball.off").unit == "voxel"
+    text = (tmp_path / "ball.off").read_text(encoding="ascii").splitlines()
+    count = len(text) - 1
+    text[1] = text[1].replace(" 1280 ", " 1279 ")
+    (tmp_path / "open.off").write_text("\n".join(text[:count]), encoding="ascii")
+    with pytest.raises(InputError, match="not watertight"):
+        load_mask(tmp_path / "open.off", bone, scale=40)
+
+
+def test_damage_that_trimesh_finds_is_told_in_one_line(tmp_path):
+    CUBE.export(tmp_path / "cube.off")
+    CUBE.export(tmp_path / "cube.glb")
+    for suffix in ("off", "glb"):
+        whole = (tmp_path / f"cube.{suffix}").read_bytes()
+        for content in (b"", bytes(range(256)) * 8, whole[: len(whole) * 2 // 3 - 5]):
+            (tmp_path / f"bad.{suffix}").write_bytes(content)
+            with pytest.raises(FileError, match="cannot read"):
+                read_mesh(tmp_path / f"bad.{suffix}")
+    (tmp_path / "none.gltf").write_text('{"asset": {"version": "2.0"}}', encoding="ascii")
+    with pytest.raises(FileError, match=r"holds no triangles|cannot read"):
+        read_mesh(tmp_path / "none.gltf")
+
+
+def test_a_format_of_the_extra_names_it_where_it_is_missing(tmp_path, monkeypatch):
+    CUBE.export(tmp_path / "cube.off")
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'trabecula\[mesh\]'"):
+        read_mesh(tmp_path / "cube.off")

@@ -338,7 +338,7 @@ SETTINGS = {
 def test_the_voxels_are_the_same(bone, spilled, name, periodic):
     settings, asked = SETTINGS[name]
     short = {"levels": 2, "rounds": (2,), "first_rounds": 2, "novelty": 0.0, "step": 2}
-    model = Texture.configured(**short, **settings).fit(tb.crop(bone, 24))
+    model = Texture.configure(**short, **settings).fit(tb.crop(bone, 24))
     request = tb.Request((28, 22, 24), seed=1, periodic=periodic, **asked)
     whole, told = model.make(request)
     with spilled(), threads(2):

@@ -20,7 +20,7 @@ SHAPE = (72, 36, 36)
 
 @pytest.fixture(scope="module")
 def model(bone):
-    return Texture.configured(preset="fast").fit(tb.crop(bone, 48))
+    return Texture.configure(preset="fast").fit(tb.crop(bone, 48))
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_names_of_phases_count_and_not_their_order(bone, model):
     small = tb.crop(bone, 48)
     turned = tb.Image(1 - small.values, "labels", small.spacing, small.unit, ("solid", "void"))
     made = (
-        Texture.configured(preset="fast").fit(turned).generate(32, seed=1, target={"porosity": 0.7})
+        Texture.configure(preset="fast").fit(turned).generate(32, seed=1, target={"porosity": 0.7})
     )
     assert np.mean(made.values == 1) == pytest.approx(0.7, abs=1e-4)
 
@@ -186,10 +186,10 @@ def test_what_cannot_be_honoured_is_refused(bone, model):
         model.generate(32, target={"euler": 0.0})
     values = tb.crop(bone, 24).values.copy()
     values[:4] = 2
-    three = Texture.configured(preset="fast").fit(tb.Image(values, "labels"))
+    three = Texture.configure(preset="fast").fit(tb.Image(values, "labels"))
     with pytest.raises(RequestError, match="holds 3 phases"):
         three.generate(24, target={"porosity": 0.6})
-    grey = Texture.configured(preset="fast").fit(
+    grey = Texture.configure(preset="fast").fit(
         tb.Image(np.random.default_rng(0).random((20, 20, 20)), "grey")
     )
     with pytest.raises(RequestError, match="exemplar is grey"):

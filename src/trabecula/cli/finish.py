@@ -133,7 +133,7 @@ def _form(part: Any, options: argparse.Namespace) -> Any:
     """Return the form that a volume fills: as given, or as its recipe names it and its file is
     there; else None.
     """
-    from trabecula.engine.storage.location import location_of
+    from trabecula.engine.storage import location_of
     from trabecula.finish import mask_steps
     from trabecula.pipeline.inputs import load_mask
     from trabecula.pipeline.replay import form_of

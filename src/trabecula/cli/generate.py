@@ -257,7 +257,7 @@ _MOVED = ("exemplar", "mask", "fixed", "known", "model")
 
 
 def _resume(options: argparse.Namespace) -> Any:
-    from trabecula.pipeline.resume import resume
+    from trabecula.pipeline.generate import resume
 
     kept = {"resume", "memory", "threads", "workers", "scheduler", "scratch", "json", *_MOVED}
     given = [

@@ -26,7 +26,7 @@ from trabecula.engine import store
 from trabecula.engine.chunking import Box, Task, below, boxes_of, slices_of, sources_of, tasks_of
 from trabecula.engine.lock import hold_lock
 from trabecula.engine.multiscale import halve_resolution
-from trabecula.engine.storage.location import AnyPath, Folder, Location, location_of
+from trabecula.engine.storage import AnyPath, Folder, Location, location_of
 
 __all__ = [
     "BlockWorkers",

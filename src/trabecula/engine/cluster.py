@@ -29,7 +29,7 @@ from trabecula.engine import memmap, store
 from trabecula.engine.blocks import StoredVolume, do_task
 from trabecula.engine.chunking import Box, Task
 from trabecula.engine.parallel import one_blas_thread, thread_count, threads
-from trabecula.engine.storage.location import Location
+from trabecula.engine.storage import Location
 
 T = TypeVar("T")
 

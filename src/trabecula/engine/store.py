@@ -27,7 +27,7 @@ from trabecula.engine.multiscale import (
     ome_attribute,
     shapes_of,
 )
-from trabecula.engine.storage.location import AnyPath, Location, location_of
+from trabecula.engine.storage import AnyPath, Location, location_of
 
 KEY = "trabecula"
 CHUNK = 128  # voxels along an axis of a file: 2 MiB of labels, a unit that disks and networks like

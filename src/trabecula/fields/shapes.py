@@ -12,7 +12,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.expression import Expression
 from trabecula.core.image import Image
 from trabecula.fields.grid import AXES, as_axis, as_field, as_sides, history_of, middles
-from trabecula.fields.resample import resample_array
+from trabecula.fields.interpolate import resample_array
 
 _FAR = 1e6  # no descriptor has a larger value
 

@@ -1,9 +1,9 @@
 """Connect: one component out of many, by the cheapest joins; only specks are discarded.
 
 1. Number the components; the largest is the body, those below a stated size are specks.
-2. Join the others along a minimum spanning tree (`finish.spanning`), at any distance. Where a reach
+2. Join the others along a minimum spanning tree (`cheapest_joins`), at any distance. Where a reach
    is given, search from every component through the background for the body instead, at most
-   `reach` voxels far (`finish.bridges`), and repeat, since a component that has been joined may
+   `reach` voxels far (`shortest_join`), and repeat, since a component that has been joined may
    bring others within reach.
 3. Components that are still loose become background: specks, and with a reach those farther away.
 
@@ -26,10 +26,9 @@ from trabecula.core.progress import notify
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import sum_slabs
-from trabecula.finish.bridges import shortest_join
+from trabecula.finish.bridges import cheapest_joins, shortest_join
 from trabecula.finish.forms import as_form, form_recipe
 from trabecula.finish.labels import background_of, check_present, lift, with_step
-from trabecula.finish.spanning import cheapest_joins
 from trabecula.measure.phases import as_connectivity, members
 from trabecula.measure.runs import Runs, runs_of
 

@@ -31,7 +31,7 @@ from trabecula.engine.files import remove
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.engine.lock import hold_lock
 from trabecula.engine.memory import Plan, available_memory, check_budget
-from trabecula.engine.storage.location import Folder, Location, location_of
+from trabecula.engine.storage import Folder, Location, location_of
 from trabecula.engine.store import CHUNK
 from trabecula.finish.bridges import search_bytes
 from trabecula.finish.operations import OPERATIONS

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
-from trabecula.engine.storage.location import Remote, path_or_remote
+from trabecula.engine.storage import Remote, path_or_remote
 from trabecula.io.formats import SLICES, ZARR, Format, format_of, suffix_of
 from trabecula.io.guard import check_there
 from trabecula.io.meaning import interpret

@@ -19,7 +19,7 @@ import numpy as np
 
 from trabecula.core.errors import FileError, InputError, MemoryBudgetError, TrabeculaError
 from trabecula.engine.memory import available_memory, format_bytes
-from trabecula.engine.storage.location import Remote
+from trabecula.engine.storage import Remote
 
 _OURS = __name__.partition(".")[0]
 

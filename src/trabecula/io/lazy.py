@@ -19,7 +19,7 @@ from trabecula.engine import store
 from trabecula.engine.chunking import Box, slices_of
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.engine.memory import Plan, available_memory, check_budget, format_bytes
-from trabecula.engine.storage.location import Remote, location_of, path_or_remote
+from trabecula.engine.storage import Remote, location_of, path_or_remote
 from trabecula.io.guard import check_there, report_damage
 from trabecula.io.meaning import interpret
 from trabecula.io.metadata import FileContent, check_fields

@@ -9,7 +9,7 @@ import numpy as np
 from trabecula.core.errors import FileError
 from trabecula.core.image import Image, describe_fields
 from trabecula.engine import store
-from trabecula.engine.storage.location import Remote
+from trabecula.engine.storage import Remote
 from trabecula.io.guard import check_claim, report_damage
 from trabecula.io.metadata import FileContent, check_fields
 from trabecula.io.units import long_name

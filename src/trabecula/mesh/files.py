@@ -13,7 +13,7 @@ from trabecula.engine.files import replacing
 from trabecula.io.guard import check_there, report_damage
 from trabecula.io.units import canonical, check_unit
 from trabecula.mesh.base import Mesh
-from trabecula.mesh.formats import surface_format
+from trabecula.mesh.formats import READABLE, surface_format
 from trabecula.mesh.sizes import extent_of, notify_size
 
 
@@ -56,16 +56,17 @@ def read_mesh(path: str | PathLike[str], *, unit: str | None = None) -> Mesh:
     Parameters
     ----------
     path : path
-        `.stl` (binary or text), `.ply` (binary or text), `.obj` or `.3mf`.
+        `.stl` (binary or text), `.ply` (binary or text), `.obj` or `.3mf`; with the extra `mesh`
+        also `.off`, `.glb` and `.gltf`.
     unit : str, optional
-        Unit of the coordinates. Default: the one in the file (3MF always has it, the others where
-        this package wrote them), else "voxel", which is no length.
+        Unit of the coordinates. Default: the one in the file (3MF and glTF always have it, the
+        others where this package wrote them), else "voxel", which is no length.
 
     Returns
     -------
     Mesh
-        Polygons as triangles; the corners of an STL at one place are one vertex. The recipe is
-        this reading.
+        Polygons as triangles, all bodies of a scene at their places; the corners of an STL at one
+        place are one vertex. The recipe is this reading.
 
     Raises
     ------
@@ -75,6 +76,8 @@ def read_mesh(path: str | PathLike[str], *, unit: str | None = None) -> Mesh:
         An unknown suffix or unit.
     InputError
         Coordinates that are not finite, faces that name vertices that do not exist.
+    MissingExtraError
+        trimesh is not installed, and the format needs it.
 
     Examples
     --------
@@ -85,11 +88,12 @@ def read_mesh(path: str | PathLike[str], *, unit: str | None = None) -> Mesh:
     <Mesh 52 vertices, 100 faces, mm>
     """
     path = Path(path)
-    form = surface_format(path)
+    form = surface_format(path, READABLE)
     check_there(path)
     if unit is not None:
         check_unit(unit)
-    with report_damage(path, path.suffix[1:].upper(), also=(zipfile.BadZipFile, StopIteration)):
+    also = (zipfile.BadZipFile, StopIteration, ImportError)
+    with report_damage(path, path.suffix[1:].upper(), also=also):
         mesh = form.member("read")(path)
     if not len(mesh.faces):
         raise FileError(f"{path} holds no triangles: is it a surface? export it again as triangles")

@@ -18,7 +18,8 @@ class SurfaceFormat:
     Parameters
     ----------
     home : str
-        The module of this folder, with `read(path) -> Mesh` and `write(mesh, path) -> None`.
+        The module of this folder, with `read(path) -> Mesh` and, of a format that is written,
+        `write(mesh, path) -> None`.
     note : str
         One line for the docs and the command line.
     in_slabs : bool
@@ -44,16 +45,27 @@ FORMATS: dict[str, SurfaceFormat] = {
     ".ply": SurfaceFormat("ply", "binary PLY, unit and recipe as comments", own_unit=True),
     ".obj": SurfaceFormat("obj", "Wavefront OBJ, unit and recipe as comments", own_unit=True),
 }
+"""Formats that are written, and read."""
+
+READABLE: dict[str, SurfaceFormat] = {
+    **FORMATS,
+    ".off": SurfaceFormat("by_trimesh", "Object File Format, without a unit"),
+    ".glb": SurfaceFormat("by_trimesh", "binary glTF 2.0, in metres"),
+    ".gltf": SurfaceFormat("by_trimesh", "glTF 2.0 as text, in metres"),
+}
+"""Formats that are read; of those that are not written trimesh does it, the extra `mesh`."""
 
 
-def surface_format(path: str | PathLike[str]) -> SurfaceFormat:
+def surface_format(
+    path: str | PathLike[str], formats: dict[str, SurfaceFormat] = FORMATS
+) -> SurfaceFormat:
     """Return the format of a path by its suffix.
 
     Raises
     ------
     UnknownNameError
-        No surface format has this suffix.
+        None of the formats has this suffix.
     """
     suffix = Path(path).suffix.lower()
-    check_name(suffix, FORMATS, name="surface format")
-    return FORMATS[suffix]
+    check_name(suffix, formats, name="surface format")
+    return formats[suffix]

@@ -19,6 +19,7 @@ from trabecula.mesh.text import NO_UNIT, format_rows, metres, parse_unit, recipe
 _UNITS = {1e-6: "micron", 1e-3: "millimeter", 1e-2: "centimeter", 1.0: "meter"}
 _CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 _NO_UNIT_NOTE = "unit unknown: a length of 1 was written as 1 mm"
+_PART = "{http://schemas.microsoft.com/3dmanufacturing/production/2015/06}path"
 _FOOT = 12.0  # inches: the one unit of 3MF that an Image does not know
 _DEEPEST = 16  # nested components; a file in which one contains itself would never end
 
@@ -98,29 +99,34 @@ def _write_model(mesh: Mesh, file: io.TextIOWrapper, *, unit: str, factor: float
 
 
 def read(path: Path) -> Mesh:
-    """Read every object of the file's build section, each at its place."""
+    """Read every object of the file's build section, each at its place.
+
+    Objects may be in several parts of the package, as of the production extension, which slicers
+    write.
+    """
     with zipfile.ZipFile(path) as package:
-        entry = next(
-            (
-                info
-                for info in package.infolist()
-                if info.filename.lower().endswith("3dmodel.model")
-            ),
-            None,
-        )
-        if entry is None:
-            entry = next(info for info in package.infolist() if info.filename.endswith(".model"))
-        if entry.file_size * 8 > available_memory():
+        entries = [info for info in package.infolist() if info.filename.lower().endswith(".model")]
+        size = sum(entry.file_size for entry in entries)
+        if size * 8 > available_memory():
             raise FileError(
-                f"cannot read {path}: its model unpacks to {entry.file_size >> 20} MiB, too much "
-                "for memory"
+                f"cannot read {path}: its model unpacks to {size >> 20} MiB, too much for memory"
             )
-        model = ElementTree.fromstring(package.read(entry))
-    objects = {node.get("id", ""): node for node in model.iter(f"{_CORE}object")}
+        models = {
+            f"/{entry.filename}": ElementTree.fromstring(package.read(entry)) for entry in entries
+        }
+    # A file without the usual name of the model has one alone.
+    first = next((name for name in models if name.lower().endswith("3dmodel.model")), None)
+    first = next(iter(models)) if first is None else first
+    objects = {
+        (name, node.get("id", "")): node
+        for name, model in models.items()
+        for node in model.iter(f"{_CORE}object")
+    }
+    model = models[first]
     parts = [
         part
         for item in model.iter(f"{_CORE}item")
-        for part in _object_parts(objects, item.get("objectid", ""), _transform(item), _DEEPEST)
+        for part in _object_parts(objects, _key(item, first), _transform(item), _DEEPEST)
     ]
     offsets = np.cumsum([0, *(len(points) for points, _ in parts)])
     vertices = np.concatenate([points for points, _ in parts])
@@ -141,7 +147,10 @@ def _read_unit(model: ElementTree.Element) -> tuple[str, float]:
 
 
 def _object_parts(
-    objects: dict[str, ElementTree.Element], name: str, transform: np.ndarray, depth: int
+    objects: dict[tuple[str, str], ElementTree.Element],
+    key: tuple[str, str],
+    transform: np.ndarray,
+    depth: int,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return vertices and faces of an object and of the components in it.
 
@@ -149,7 +158,7 @@ def _object_parts(
     """
     if depth == 0:
         raise ValueError("its components are nested too deep")
-    node = objects[name]
+    node = objects[key]
     parts = []
     surface = node.find(f"{_CORE}mesh")
     if surface is not None:
@@ -169,8 +178,13 @@ def _object_parts(
         whole = np.concatenate(
             [inner[:3] @ transform[:3], (inner[3] @ transform[:3] + transform[3])[None]]
         )
-        parts += _object_parts(objects, component.get("objectid", ""), whole, depth - 1)
+        parts += _object_parts(objects, _key(component, key[0]), whole, depth - 1)
     return parts
+
+
+def _key(node: ElementTree.Element, part: str) -> tuple[str, str]:
+    """Return part and number of the object that an item or component of a part names."""
+    return node.get(_PART, part), node.get("objectid", "")
 
 
 def _transform(node: ElementTree.Element) -> np.ndarray:

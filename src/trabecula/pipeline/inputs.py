@@ -22,7 +22,7 @@ from trabecula.io import files
 from trabecula.io.lazy import open_slabs, slabs_if_large
 from trabecula.io.units import has_length, to_metres
 from trabecula.mesh.files import read_mesh
-from trabecula.mesh.formats import FORMATS as SURFACES
+from trabecula.mesh.formats import READABLE as SURFACES
 from trabecula.mesh.voxels import fit_mesh, scale_mesh, voxelise
 
 SAMPLE_PREFIX = "sample:"
@@ -134,7 +134,7 @@ def load_like(
     image = load(source, threshold="none")
     if image.kind == "grey" and exemplar.kind == "labels":
         image = load(source, threshold=threshold)
-    new = _unstated_fields(image, exemplar, spacing)
+    new = _find_unstated(image, exemplar, spacing)
     return declare_fields(image, **new) if new else image
 
 
@@ -149,11 +149,11 @@ def slabs_like_if_large(
     volume = slabs_if_large(source, need=need, memory=memory)
     if volume is None:
         return None
-    new = _unstated_fields(volume, exemplar, None)
+    new = _find_unstated(volume, exemplar, None)
     return open_slabs(source, **new) if new else volume
 
 
-def _unstated_fields(
+def _find_unstated(
     image: Image | Slabs, exemplar: Image, spacing: Callable[[], Sequence[float]] | None
 ) -> dict[str, Any]:
     """Return the fields of the exemplar that a result's file does not state."""
@@ -198,8 +198,8 @@ def load_mask(
     Parameters
     ----------
     source : path
-        A surface (.stl, .ply, .obj, .3mf), or a volume of labels in which everything but void is
-        filled.
+        A surface (the suffixes of `read_mesh`), or a volume of labels in which everything but
+        void is filled.
     exemplar : Image, (Z, Y, X) or (Y, X)
         Its voxels are the mask's.
     shape : sequence of int, optional
@@ -307,11 +307,11 @@ def load_fixed(
     if shape is None or corner is None:
         raise InputError("a scan at a corner needs the shape around it: give --shape")
     if scan.ndim == 2:
-        return _fixed_slice(scan, exemplar, as_shape(shape), corner, view, edges)
+        return _place_slice(scan, exemplar, as_shape(shape), corner, view, edges)
     return place(scan, shape, corner=corner), block(scan.shape, shape, corner=corner)
 
 
-def _fixed_slice(
+def _place_slice(
     picture: Image,
     exemplar: Image,
     shape: tuple[int, ...],

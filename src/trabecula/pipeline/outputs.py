@@ -14,7 +14,7 @@ from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.lazy_volume import Slabs
-from trabecula.engine.storage.location import Remote, is_address, location_of, path_or_remote
+from trabecula.engine.storage import Remote, is_address, location_of, path_or_remote
 from trabecula.engine.store import open_unfinished
 from trabecula.io import files
 from trabecula.io.formats import format_of, suffix_of, suffixes

@@ -1,21 +1,25 @@
 """A run before it starts: into which blocks it divides its volume, and what memory, disk and time
-it takes.
+it takes. For the time, boxes of it are made for about a second.
 """
 
 from __future__ import annotations
 
 import os
+import time
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import prod
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from trabecula.core.errors import InputError, MemoryBudgetError, RequestError
 from trabecula.core.request import Request
+from trabecula.engine.chunking import Box, boxes_of
 from trabecula.engine.memory import Plan, available_memory, check_budget, format_bytes
-from trabecula.engine.storage.location import is_address, location_of
+from trabecula.engine.storage import is_address, location_of
 from trabecula.engine.store import CHUNK, Unfinished, open_unfinished
-from trabecula.engine.timing import seconds_of, seconds_of_whole
 from trabecula.io.formats import suffix_of
 from trabecula.pipeline.out_of_core import plan_whole
 from trabecula.synth.api.method import Model
@@ -26,6 +30,20 @@ if TYPE_CHECKING:
 
 CHUNKS = (16, 1024)
 """Smallest and largest edge of a store's chunks, voxels; a multiple of the first."""
+
+_LEAST = 16
+"""Edge of the first box that is timed, voxels."""
+
+_EDGES = (24, 36, 48, 72, 96, 144, 192, 288)
+"""Of the volumes that are timed where no box can be made alone, voxels."""
+
+_SECONDS = 1.0
+"""After the second box the next is made where it is expected to take no longer than this."""
+
+_WRITTEN = 30e-9
+"""Seconds a voxel for packing, writing, coarser levels and digest, as measured of labels on a plain
+processor.
+"""
 
 
 @dataclass(frozen=True)
@@ -94,7 +112,7 @@ def choose_blocks(
     plan = model.plan(request)
     budget = available_memory() if memory is None else memory
     into_store = suffix_of(os.fspath(path)) == ".zarr"
-    unfinished = unfinished_run(model, request, path) if into_store else None
+    unfinished = find_unfinished(model, request, path) if into_store else None
     # At an address a run that can be resumed is worth more than the little that blocks cost.
     whole_allowed = not (makes_boxes(model) and is_address(path))
     free_choice = unfinished is None and chunks is None and workers is None
@@ -168,7 +186,7 @@ def budget_for(path: str | os.PathLike[str], memory: int | None) -> int | None:
     return max(0, (available_memory() if memory is None else memory) - location_of(path).memory)
 
 
-def unfinished_run(
+def find_unfinished(
     model: Model, request: Request, path: str | os.PathLike[str]
 ) -> Unfinished | None:
     """Return the unfinished store of an interrupted run of the same model and request, if any."""
@@ -192,3 +210,113 @@ def _try_seconds(model: Model, request: Request, blocks: BlockPlan | None) -> fl
                 lambda shape: model.generate(replace(request, shape=shape)), request.shape
             )
     return None
+
+
+def seconds_of(
+    make: Callable[[Box], np.ndarray],
+    shape: Sequence[int],
+    side: int,
+    *,
+    clock: Callable[[], float] = time.perf_counter,
+) -> float:
+    """Return the seconds that making a volume in blocks takes on this machine, as it is now.
+
+    Parameters
+    ----------
+    make : Box -> array
+        Makes any box of the volume.
+    shape : sequence of int
+        Of the volume.
+    side : int
+        Edge of the blocks.
+    clock : function, optional
+        Gives seconds.
+
+    Notes
+    -----
+    A box of side s needs what is around it as well, so its time is close to c (s + h)^3. Boxes of
+    sides 16, 32, ... up to the block's are timed, two at least, as long as the next one can be
+    expected to take a second; c and h follow from the last two (h = 0 where the larger box was as
+    expensive a voxel). Beside the boxes, what the very first call does once, and 30 ns a voxel for
+    writing.
+    """
+    blocks = boxes_of(shape, side)
+    block = max(last - first for first, last in blocks[0])
+    start = clock()
+    make(_box(shape, 8))
+    once = clock() - start  # kernels are loaded, tables are made
+    timed: list[tuple[int, float]] = []
+    edge = min(_LEAST, block)
+    while True:
+        start = clock()
+        make(_box(shape, edge))
+        timed.append((edge, max(clock() - start, 1e-6)))
+        if edge == block or (len(timed) > 1 and 8 * timed[-1][1] > _SECONDS):
+            break
+        edge = min(2 * edge, block)
+    total = sum(_estimate(timed, shape, box) for box in blocks)
+    return once + total + _WRITTEN * prod(shape)
+
+
+def seconds_of_whole(
+    make: Callable[[tuple[int, ...]], object],
+    shape: Sequence[int],
+    *,
+    clock: Callable[[], float] = time.perf_counter,
+) -> float:
+    """Return the seconds that making a volume as a whole takes on this machine, as it is now.
+
+    Parameters
+    ----------
+    make : shape -> anything
+        Makes a volume of any shape.
+    shape : sequence of int
+        Of the volume.
+    clock : function, optional
+        Gives seconds.
+
+    Notes
+    -----
+    Volumes of edge 24, 36, 48, 72, ... are timed, two at least, as long as the next one can be
+    expected to take a second; what a further voxel costs follows from the last two. Coarse levels
+    that only large volumes have add little.
+    """
+    make(_cube(shape, _EDGES[0]))  # kernels are loaded, tables are made
+    timed: list[tuple[int, float]] = []
+    for edge in _EDGES:
+        sides = _cube(shape, edge)
+        start = clock()
+        make(sides)
+        timed.append((prod(sides), max(clock() - start, 1e-6)))
+        if sides == tuple(shape) or (len(timed) > 1 and 3 * timed[-1][1] > _SECONDS):
+            break
+    (voxels, seconds), more = timed[-1], timed[-1][1] / timed[-1][0]
+    if len(timed) > 1 and voxels > timed[-2][0]:
+        more = max((seconds - timed[-2][1]) / (voxels - timed[-2][0]), 0.5 * more)
+    return seconds + more * (prod(shape) - voxels) + _WRITTEN * prod(shape)
+
+
+def _cube(shape: Sequence[int], edge: int) -> tuple[int, ...]:
+    return tuple(min(edge, length) for length in shape)
+
+
+def _box(shape: Sequence[int], edge: int) -> Box:
+    """Return a box in the middle of a shape."""
+    return tuple(
+        ((length - min(edge, length)) // 2, (length + min(edge, length)) // 2) for length in shape
+    )
+
+
+def _estimate(timed: Sequence[tuple[int, float]], shape: Sequence[int], box: Box) -> float:
+    """Return the seconds of a box, from those of boxes that were timed."""
+    sides = [last - first for first, last in box]
+    (edge, seconds), around = timed[-1], 0.0
+    if len(timed) > 1 and len(shape) == 3 and min(shape) >= edge:
+        before, quicker = timed[-2]
+        ratio = (seconds / quicker) ** (1 / 3)
+        if 1 < ratio < edge / before:
+            around = (edge - ratio * before) / (ratio - 1)
+    return seconds * prod(
+        (side + around) / (min(edge, length) + around)
+        for side, length in zip(sides, shape, strict=True)
+    )

@@ -19,7 +19,7 @@ from trabecula.core.image import Image, declare_fields
 from trabecula.core.progress import notify
 from trabecula.core.recipe import Recipe, digest
 from trabecula.core.request import Request
-from trabecula.engine.storage.location import is_address, location_of
+from trabecula.engine.storage import is_address, location_of
 from trabecula.exemplar.crop import crop
 from trabecula.exemplar.place import block, place
 from trabecula.exemplar.samples import sample

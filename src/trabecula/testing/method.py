@@ -146,7 +146,7 @@ def _check_capabilities(case: MethodCase) -> None:
         'large="memmap" needs the hook resident_memory, the bytes that stay in memory'
     )
     for preset in told.presets:
-        case.cls.configured(preset=preset)
+        case.cls.configure(preset=preset)
     assert case.method().capabilities is told and model.capabilities is told, (
         "method and model should have the same capabilities"
     )
@@ -169,7 +169,7 @@ def _check_card(case: MethodCase) -> None:
 @_check("config")
 def _check_config(case: MethodCase) -> None:
     """Check that the config is frozen and every field has a docstring."""
-    config = case.cls.configured().config
+    config = case.cls.configure().config
     for field in dataclasses.fields(config):
         with raises(dataclasses.FrozenInstanceError, "", "the config should be frozen"):
             setattr(config, field.name, 1)
@@ -183,10 +183,10 @@ def _check_config(case: MethodCase) -> None:
 @_check("unknown setting")
 def _check_unknown_setting(case: MethodCase) -> None:
     """Check that an unknown setting suggests the nearest."""
-    for field in dataclasses.fields(case.cls.configured().config)[:1]:
+    for field in dataclasses.fields(case.cls.configure().config)[:1]:
         with raises(UnknownNameError, field.name, "an unknown setting should be refused"):
             wrong: dict[str, Any] = {field.name[:-1] + "_": 1}
-            case.cls.configured(**wrong)
+            case.cls.configure(**wrong)
 
 
 @_check("result")
@@ -464,7 +464,7 @@ from trabecula.synth.api.registry import register
 
 module, _, name = sys.argv[1].partition(":")
 cls, given = getattr(importlib.import_module(module), name), sys.argv[2:]
-model = cls.configured().fit(tb.read(given[0]) if given else None)
+model = cls.configure().fit(tb.read(given[0]) if given else None)
 size = (18, 20, 23) if given and model.facts[0].ndim == 2 else (26, 30, 33)
 print(model.generate(size, seed=5).recipe.steps[-1]["sha256"])
 """

@@ -117,7 +117,7 @@ class MethodCase:
 
     def method(self, preset: str | None = None, **settings: Any) -> Method:
         """Return the method with its trial settings."""
-        return self.cls.configured(preset=preset, **{**self.capabilities.trial, **settings})
+        return self.cls.configure(preset=preset, **{**self.capabilities.trial, **settings})
 
     def fit(
         self,

@@ -92,7 +92,7 @@ def _span(origin, direction, low, high):
 
 
 @inline
-def _kept_span(origin, direction, box, plane, stretch, normal):
+def _clip_span(origin, direction, box, plane, stretch, normal):
     """Return the span of a ray inside the kept part: start and stop; `normal` is written, outward
     at the start.
     """
@@ -189,7 +189,7 @@ def hit(field, occupied, origin, direction, box, plane, stretch, viewer, normal)
     Where a ray enters the solid through a face of the box or of a cut, the normal is the plane's:
     the gradient there is that of the inside and would come out speckled.
     """
-    start, stop = _kept_span(origin, direction, box, plane, stretch, normal)
+    start, stop = _clip_span(origin, direction, box, plane, stretch, normal)
     out, back, _, axis = _span(origin, direction, box[2], box[3])
     out, back = max(out, start), min(back, stop)
     if start >= stop:

@@ -13,21 +13,10 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
+from trabecula.numerics.bits import count_bits
 
 FAR = np.int32(1 << 30)
 """Further than any neighbourhood is from another."""
-
-_M1, _M2 = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333)
-_M4, _H1 = np.uint64(0x0F0F0F0F0F0F0F0F), np.uint64(0x0101010101010101)
-_1, _2, _4, _56 = np.uint64(1), np.uint64(2), np.uint64(4), np.uint64(56)
-
-
-@inline
-def _ones(word):
-    """Count the bits set in a uint64. LLVM knows this form and makes one instruction of it."""
-    word = word - ((word >> _1) & _M1)
-    word = (word & _M2) + ((word >> _2) & _M2)
-    return np.int32((((word + (word >> _4)) & _M4) * _H1) >> _56)
 
 
 @kernel
@@ -49,7 +38,9 @@ def pack_planes(values, planes, width, step, bits, rows, start, stop):
                         for r in range(w * rows, min(height, (w + 1) * rows)):
                             row = values[z, y + r * step]
                             for i in range(breadth):
-                                word = (word << _1) | np.uint64((row[x + i * step] >> b) & 1)
+                                word = (word << np.uint64(1)) | np.uint64(
+                                    (row[x + i * step] >> b) & 1
+                                )
                         planes[z, y, x, b * words + w] = word
 
 
@@ -66,7 +57,7 @@ def differing(a, z, y, x, b, u, v, w, depth, step, bits, most):
             word = p[j] ^ q[j]
             for k in range(1, bits):
                 word |= p[k * words + j] ^ q[k * words + j]
-            total += _ones(word)
+            total += np.int32(count_bits(word))
         if total > most:
             break
     return total

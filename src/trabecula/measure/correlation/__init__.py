@@ -7,10 +7,9 @@ of zeros, and near the border every pair counts alike.
 """
 
 from trabecula.measure.correlation.axis_preference import axis_preference
-from trabecula.measure.correlation.clusters import two_point_cluster
 from trabecula.measure.correlation.length import correlation_length, covariance_form, decay_length
 from trabecula.measure.correlation.lineal_path import lineal_path
-from trabecula.measure.correlation.two_point import cross_correlation, two_point
+from trabecula.measure.correlation.two_point import cross_correlation, two_point, two_point_cluster
 
 __all__ = [
     "axis_preference",

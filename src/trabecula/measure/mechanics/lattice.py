@@ -1,9 +1,13 @@
-"""Cells, their nodes, and the sparse operator assembled from them.
+"""Cells and their nodes, on the grid of voxels and on coarser ones.
 
 The same structures serve every grid of the multigrid: on the finest a cell is a voxel, on coarser
-ones a connected part of the solid in a block of voxels. Operators are rows of 3x3 blocks. On the
-finest grid rows are shared: a row depends only on the materials of the eight voxels around its
-node, so that two phases need at most 255 of them.
+ones a connected part of the solid in a block of 2x2x2 cells. A strut and its neighbour across a
+thin gap may be in one block. Were they one coarse cell, the coarse grid would tie them together,
+and the solver would stall on thin structures; so a block becomes as many cells as it has connected
+parts, each with nodes of its own (Dick, Georgii, Westermann 2011, doi:10.1109/TVCG.2010.268). Nodes
+of neighbouring coarse cells are one where a node of the finer grid, common to both, depends on
+them. Displacements of the coarse grid are then displacements of the finer one as well, and its
+operator is the finer one's, seen by them (Galerkin).
 """
 
 from __future__ import annotations
@@ -12,16 +16,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trabecula.engine.compile import kernel
+from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.mechanics.elements import CORNERS
+from trabecula.measure.union_find import join, number_trees
 
 LOADS = 6
 """Load cases solved at once: the last axis of every vector."""
 
 LEAST = 2000  # nodes that are worth a thread
-_CHUNK = 4096  # nodes that are summed together: fixed, so that sums do not depend on the threads
-_SINGLE = 20_000  # nodes from which on a coarse operator is kept in float32: it only preconditions
 
 
 @dataclass(frozen=True)
@@ -43,24 +46,13 @@ class Cells:
 
 
 @dataclass(frozen=True)
-class BlockOperator:
-    """Row n holds the blocks `values[start[n] ...]` for the nodes `neighbour[first[n] .. first[n +
-    1]]`.
-    """
+class Interpolation:
+    """From coarse nodes to fine ones, and its transpose: rows of indices and weights."""
 
-    first: np.ndarray
-    neighbour: np.ndarray
-    start: np.ndarray
-    values: np.ndarray
-    inverse: np.ndarray
-    """(rows, 3, 3): inverse of the diagonal block of every distinct row."""
-    row: np.ndarray
-    """(count,): the distinct row of every node."""
-
-    @property
-    def count(self) -> int:
-        """Number of nodes."""
-        return len(self.row)
+    down: tuple[np.ndarray, np.ndarray, np.ndarray]
+    """first, coarse node, weight; a row per fine node."""
+    up: tuple[np.ndarray, np.ndarray, np.ndarray]
+    """first, fine node, weight; a row per coarse node."""
 
 
 def node_mask(solid: np.ndarray) -> np.ndarray:
@@ -101,37 +93,6 @@ def row_keys(cells: Cells) -> np.ndarray:
     return keys
 
 
-def assemble(
-    cells: Cells, incidence: tuple[np.ndarray, np.ndarray], keys: np.ndarray | None = None
-) -> BlockOperator:
-    """Assemble the operator of the cells; nodes of equal `keys` share their row."""
-    first, neighbour = _adjacency(cells.nodes, *incidence)
-    if keys is None:
-        chosen, row = np.arange(cells.count), np.arange(cells.count, dtype=np.int32)
-    else:
-        _, chosen, inverse = np.unique(keys, return_index=True, return_inverse=True)
-        row = inverse.astype(np.int32)
-    width = np.diff(first.astype(np.int64))[chosen]
-    begin = np.concatenate([[0], np.cumsum(width)])
-    exact = keys is not None or cells.count < _SINGLE
-    values = np.zeros((begin[-1], 3, 3), np.float64 if exact else np.float32)
-    diagonal = np.zeros((len(chosen), 3, 3))
-    _fill(
-        chosen,
-        cells.nodes,
-        cells.kind,
-        cells.matrices,
-        *incidence,
-        first,
-        neighbour,
-        begin,
-        values,
-        diagonal,
-    )
-    inverse = np.linalg.pinv(diagonal, rcond=1e-9, hermitian=True)
-    return BlockOperator(first, neighbour, begin[row].astype(np.uint32), values, inverse, row)
-
-
 def incidence(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
     """Return for every node its (cell * 8 + corner): where they begin, and all of them, by corner
     and then by cell.
@@ -139,32 +100,86 @@ def incidence(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
     return _incidence(cells.nodes, cells.count)
 
 
-def apply(operator: BlockOperator, vector: np.ndarray, out: np.ndarray) -> np.ndarray:
-    """Set `out` = operator times `vector`, (count, 3, LOADS)."""
-    o = operator
-    for_slabs(
-        lambda a, b: _apply(o.first, o.neighbour, o.start, o.values, vector, out, a, b),
-        operator.count,
-        least=LEAST,
-    )
-    return out
+def coarsen(
+    cells: Cells, incidence: tuple[np.ndarray, np.ndarray], *, repeated: bool
+) -> tuple[Cells, Interpolation]:
+    """Return the coarser cells, and the interpolation from their nodes.
 
-
-def relax(operator: BlockOperator, residual: np.ndarray, pace: float, x: np.ndarray) -> None:
-    """Add pace * D^-1 residual to x; D holds the diagonal blocks."""
-    o = operator
-    for_slabs(
-        lambda a, b: _relax(o.inverse, o.row, residual, pace, x, a, b), operator.count, least=LEAST
-    )
-
-
-def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the inner product of every load case, (LOADS,): by chunks of fixed size, added in
-    order.
+    `repeated` says that blocks with equal kinds of cells have equal matrices (only on the grid of
+    voxels).
     """
-    parts = np.zeros((-(-len(a) // _CHUNK), LOADS))
-    for_slabs(lambda i, j: _dots(a, b, parts, i, j), len(parts), least=1)
-    return parts.sum(axis=0)
+    upper = _upper(cells.lines)
+    block = cells.position >> 1
+    sides = [len(line) for line in cells.lines]
+    number = (block[:, 0].astype(np.int64) * sides[1] + block[:, 1]) * sides[2] + block[:, 2]
+    parent, total = _split_blocks(number, *incidence)
+    weights = _weights(cells.position, upper)
+    corner, count = _corners(parent, total, weights, *incidence)
+    down = _interpolation(parent, corner, weights, *incidence)
+    position = np.empty((total, 3), np.int32)
+    position[parent] = block
+    kind, chosen = (
+        _kinds(cells, parent, total) if repeated else (np.arange(total), np.arange(total))
+    )
+    target = np.full(total, -1)
+    target[chosen] = np.arange(len(chosen))
+    matrices = np.zeros((len(chosen), 8, 8, 3, 3))
+    _galerkin(target[parent], cells.kind, cells.matrices, weights, matrices)
+    lines = tuple(np.append(line[:-1:2], line[-1]) for line in cells.lines)
+    coarse = Cells(
+        corner.astype(np.uint32), kind.astype(np.int32), matrices, position, lines, count
+    )
+    return coarse, Interpolation(down, _transpose(down[0], down[1], down[2], count))
+
+
+def gather(
+    rows: tuple[np.ndarray, np.ndarray, np.ndarray],
+    vector: np.ndarray,
+    out: np.ndarray,
+    *,
+    add: bool,
+) -> None:
+    """Set out (+)= rows times vector."""
+    for_slabs(lambda a, b: _gather(*rows, vector, out, add, a, b), len(out), least=LEAST)
+
+
+def _upper(lines: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Return, for both ends of a fine cell, the weight of the upper end of the coarse cell around
+    it, (3, most cells, 2).
+    """
+    table = np.zeros((3, max(len(line) for line in lines), 2))
+    for axis, line in enumerate(lines):
+        cell = np.arange(len(line) - 1)
+        low, high = line[cell & ~1], line[np.minimum((cell & ~1) + 2, len(line) - 1)]
+        for end in (0, 1):
+            table[axis, cell, end] = (line[cell + end] - low) / (high - low)
+    return table
+
+
+def _weights(position: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return `upper` of every cell, (cells, 3, 2) float64."""
+    return np.ascontiguousarray(
+        np.stack([upper[axis, position[:, axis]] for axis in range(3)], axis=1)
+    )
+
+
+def _kinds(cells: Cells, parent: np.ndarray, total: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the kind of every coarse cell, and one cell of each kind: the same kinds of cells in
+    the same places.
+    """
+    base = len(cells.matrices) + 1
+    key = np.zeros(total, np.int64)
+    place = (cells.position & 1) @ np.array([4, 2, 1])
+    for c in range(8):
+        here = place == c
+        key[parent[here]] += (cells.kind[here].astype(np.int64) + 1) * base**c
+    # The last block of an odd side is one cell wide.
+    sides = np.array([len(line) - 1 for line in cells.lines])
+    narrow = ((cells.position == sides - 1) & (sides % 2 == 1)) @ np.array([4, 2, 1])
+    marks = np.zeros(total, np.int64)
+    marks[parent] = narrow
+    _, chosen, kind = np.unique(key + marks * base**8, return_index=True, return_inverse=True)
+    return kind, chosen
 
 
 @kernel
@@ -186,92 +201,130 @@ def _incidence(nodes, count):
 
 
 @kernel
-def _adjacency(nodes, begin, entry):
-    """Return for every node the nodes of its cells, in the order of the incidence."""
-    count = len(begin) - 1
-    seen = np.full(count, -1, np.int64)
-    first = np.zeros(count + 1, np.uint32)
-    neighbour = np.empty(0, np.uint32)
-    for fill in range(2):
-        total = 0
-        for n in range(count):
-            for i in range(begin[n], begin[n + 1]):
-                for b in range(8):
-                    m = nodes[entry[i] // 8, b]
-                    if seen[m] != n + fill * count:
-                        seen[m] = n + fill * count
-                        if fill:
-                            neighbour[total] = m
-                        total += 1
-            first[n + 1] = total
-        if not fill:
-            neighbour = np.empty(total, np.uint32)
-    return first, neighbour
+def _split_blocks(block, first, entry):
+    """Join the cells of one block that share a node to one coarse cell."""
+    tree = np.arange(len(block))
+    for n in range(len(first) - 1):
+        for i in range(first[n], first[n + 1]):
+            for j in range(first[n], i):
+                if block[entry[i] // 8] == block[entry[j] // 8]:
+                    join(tree, entry[i] // 8, entry[j] // 8)
+    return number_trees(tree)
+
+
+@inline
+def _supports(weights, cell, corner, s):
+    """Return the weight of the s-th corner of the coarse cell at this corner of a fine cell; 0
+    where it has none.
+    """
+    weight = 1.0
+    for axis in range(3):
+        bit = corner >> (2 - axis) & 1
+        high = weights[cell, axis, bit]
+        weight *= high if s >> (2 - axis) & 1 else 1.0 - high
+    return weight
 
 
 @kernel
-def _fill(chosen, nodes, kind, matrices, begin, entry, first, neighbour, start, values, diagonal):
-    slot = np.zeros(len(begin) - 1, np.int64)
-    blocks = np.zeros((1, 3, 3))
-    for row in range(len(chosen)):
-        n = chosen[row]
-        width = first[n + 1] - first[n]
-        if width > len(blocks):
-            blocks = np.zeros((width, 3, 3))
-        blocks[:] = 0
-        for k in range(width):
-            slot[neighbour[first[n] + k]] = k
-        for i in range(begin[n], begin[n + 1]):
-            cell, a = entry[i] // 8, entry[i] % 8
-            for b in range(8):
-                blocks[slot[nodes[cell, b]]] += matrices[kind[cell], a, b]
-        for k in range(width):
-            values[start[row] + k] = blocks[k]
-        diagonal[row] = blocks[slot[n]]
+def _corners(parent, total, weights, first, entry):
+    """Return the coarse node at every corner of every coarse cell."""
+    tree = np.arange(total * 8)
+    support = np.empty(8, np.int64)
+    for n in range(len(first) - 1):
+        for i in range(first[n], first[n + 1]):
+            cell, corner = entry[i] // 8, entry[i] % 8
+            # Supporting corners come in the same order in every cell around the node: axes along
+            # which it is
+            # between two coarse planes are the same for all of them.
+            count = 0
+            for s in range(8):
+                if _supports(weights, cell, corner, s) > 0.0:
+                    if i == first[n]:
+                        support[count] = parent[cell] * 8 + s
+                    else:
+                        join(tree, support[count], parent[cell] * 8 + s)
+                    count += 1
+    number, count = number_trees(tree)
+    return number.reshape(total, 8), count
 
 
 @kernel
-def _apply(first, neighbour, start, values, u, y, begin, end):
-    # Three rows of accumulators and nine scalars of a block: the form that LLVM keeps in registers
-    # (twice as fast).
-    s0, s1, s2 = np.zeros(LOADS), np.zeros(LOADS), np.zeros(LOADS)
-    for n in range(begin, end):
-        for j in range(LOADS):
-            s0[j] = 0.0
-            s1[j] = 0.0
-            s2[j] = 0.0
-        at = start[n]
+def _interpolation(parent, corner, weights, first, entry):
+    count = len(first) - 1
+    begin = np.zeros(count + 1, np.int64)
+    index = np.empty(count * 8, np.uint32)
+    weight = np.empty(count * 8)
+    total = 0
+    for n in range(count):
+        cell, c = entry[first[n]] // 8, entry[first[n]] % 8
+        for s in range(8):
+            w = _supports(weights, cell, c, s)
+            if w > 0.0:
+                index[total] = corner[parent[cell], s]
+                weight[total] = w
+                total += 1
+        begin[n + 1] = total
+    return begin, index[:total].copy(), weight[:total].copy()
+
+
+@kernel
+def _transpose(first, index, weight, count):
+    begin = np.zeros(count + 1, np.int64)
+    for k in range(len(index)):
+        begin[index[k] + 1] += 1
+    for n in range(count):
+        begin[n + 1] += begin[n]
+    at = begin[:-1].copy()
+    other = np.empty(len(index), np.uint32)
+    value = np.empty(len(index))
+    for n in range(len(first) - 1):
         for k in range(first[n], first[n + 1]):
-            v = u[neighbour[k]]
-            block = values[at]
-            at += 1
-            b00, b01, b02 = block[0, 0], block[0, 1], block[0, 2]
-            b10, b11, b12 = block[1, 0], block[1, 1], block[1, 2]
-            b20, b21, b22 = block[2, 0], block[2, 1], block[2, 2]
-            for j in range(LOADS):
-                p, q, r = v[0, j], v[1, j], v[2, j]
-                s0[j] += b00 * p + b01 * q + b02 * r
-                s1[j] += b10 * p + b11 * q + b12 * r
-                s2[j] += b20 * p + b21 * q + b22 * r
-        for j in range(LOADS):
-            y[n, 0, j] = s0[j]
-            y[n, 1, j] = s1[j]
-            y[n, 2, j] = s2[j]
+            other[at[index[k]]] = n
+            value[at[index[k]]] = weight[k]
+            at[index[k]] += 1
+    return begin, other, value
 
 
 @kernel
-def _relax(inverse, row, residual, pace, x, begin, end):
+def _gather(first, index, weight, vector, out, add, begin, end):
     for n in range(begin, end):
-        d, r, t = inverse[row[n]], residual[n], x[n]
-        for i in range(3):
-            for j in range(LOADS):
-                t[i, j] += pace * (d[i, 0] * r[0, j] + d[i, 1] * r[1, j] + d[i, 2] * r[2, j])
+        row = out[n]
+        if not add:
+            row[:] = 0.0
+        for k in range(first[n], first[n + 1]):
+            v = vector[index[k]]
+            w = weight[k]
+            for i in range(v.shape[0]):
+                for j in range(v.shape[1]):
+                    row[i, j] += w * v[i, j]
 
 
 @kernel
-def _dots(a, b, parts, begin, end):
-    for part in range(begin, end):
-        for n in range(part * _CHUNK, min((part + 1) * _CHUNK, len(a))):
-            for i in range(3):
-                for j in range(LOADS):
-                    parts[part, j] += a[n, i, j] * b[n, i, j]
+def _galerkin(target, kind, matrices, weights, out):
+    """Add W^T K W to out[target] for every fine cell, W[a, A] the weight of coarse corner A at fine
+    corner a.
+    """
+    half = np.zeros((8, 8, 3, 3))
+    w = np.zeros((8, 8))
+    for cell in range(len(target)):
+        if target[cell] < 0:
+            continue
+        matrix = matrices[kind[cell]]
+        for a in range(8):
+            for s in range(8):
+                w[a, s] = _supports(weights, cell, a, s)
+        half[:] = 0.0
+        for b in range(8):
+            for s in range(8):
+                if w[b, s] > 0.0:
+                    for a in range(8):
+                        for i in range(3):
+                            for j in range(3):
+                                half[a, s, i, j] += w[b, s] * matrix[a, b, i, j]
+        for a in range(8):
+            for s in range(8):
+                if w[a, s] > 0.0:
+                    for t in range(8):
+                        for i in range(3):
+                            for j in range(3):
+                                out[target[cell], s, t, i, j] += w[a, s] * half[a, t, i, j]

@@ -15,12 +15,12 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels
 from trabecula.measure.phases import as_inside, indicator
 from trabecula.measure.transport.aggregation import AggregationMultigrid
-from trabecula.measure.transport.conduction_kernels import (
+from trabecula.measure.transport.graph import Graph, solve_graph
+from trabecula.measure.transport.kernels import (
     assemble,
     enumerate_voxels,
     section_fluxes,
 )
-from trabecula.measure.transport.graph import Graph, solve_graph
 from trabecula.measure.transport.result import Effective, imbalance, not_percolating
 from trabecula.measure.transport.section import Solver, as_tolerance, effective, percolating_voxels
 from trabecula.numerics.krylov import Iterate

@@ -28,20 +28,20 @@ from numpy.typing import ArrayLike
 from trabecula.core.image import Image
 from trabecula.measure.phases import as_inside, indicator
 from trabecula.measure.transport.aggregation import AggregationMultigrid
-from trabecula.measure.transport.conduction_kernels import enumerate_voxels
 from trabecula.measure.transport.graph import Graph, solve_graph
-from trabecula.measure.transport.result import Effective, imbalance, not_percolating
-from trabecula.measure.transport.section import Solver, as_tolerance, effective, percolating_voxels
-from trabecula.measure.transport.stokes_kernels import (
+from trabecula.measure.transport.kernels import (
     assemble_pressure,
     assemble_viscous,
     divergence,
     enumerate_faces,
+    enumerate_voxels,
     link,
     momentum,
     push,
     section_flows,
 )
+from trabecula.measure.transport.result import Effective, imbalance, not_percolating
+from trabecula.measure.transport.section import Solver, as_tolerance, effective, percolating_voxels
 from trabecula.numerics.krylov import Iterate, conjugate_residuals
 from trabecula.numerics.vectors import dot
 
@@ -146,7 +146,7 @@ def _permeability(inside: np.ndarray, edges: np.ndarray, *, tolerance: float) ->
 
 @dataclass(frozen=True, eq=False)
 class MarkerGrid:
-    """Unknowns and links of a marker-and-cell grid, as `stokes_kernels` describes them."""
+    """Unknowns and links of a marker-and-cell grid, as `kernels` describes them."""
 
     faces: np.ndarray  # int32, (3, Z + 1, Y, X)
     bounds: np.ndarray  # int64, (4,)

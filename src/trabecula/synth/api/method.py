@@ -54,7 +54,7 @@ class Method(ABC):
         return f"<Method {self.capabilities.name}: {nondefault_settings(self.config)}>"
 
     @classmethod
-    def configured(cls, /, *, preset: str | None = None, **settings: Any) -> Method:
+    def configure(cls, /, *, preset: str | None = None, **settings: Any) -> Method:
         """Build the method with a preset's settings, changed by `settings`.
 
         Raises

@@ -28,8 +28,7 @@ from trabecula.engine.files import replacing
 from trabecula.engine.memory import Plan, check_budget, largest_within
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.capabilities import Capabilities
-from trabecula.synth.api.exemplar_info import ExemplarInfo, exemplar_info
-from trabecula.synth.api.result_voxels import result_voxels
+from trabecula.synth.api.exemplar_info import ExemplarInfo, exemplar_info, result_voxels
 
 FORMAT = 1
 """Format of model files; `serialize` says what is in one."""

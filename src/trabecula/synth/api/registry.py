@@ -73,7 +73,7 @@ def method(name: str, /, *, preset: str | None = None, **settings: Any) -> Metho
             if point.name == name:
                 _load(point)  # which raises
     check_name(name, known, name="method")
-    return method_class(known[name]).configured(preset=preset, **settings)
+    return method_class(known[name]).configure(preset=preset, **settings)
 
 
 def method_class(capabilities: Capabilities) -> type[Method]:

@@ -1,4 +1,5 @@
-"""Models in files: a method's name and settings, with the exemplars or with the state of training.
+"""Models as bytes, in files and for worker processes: a method's name and settings, with the
+exemplars or with the state of training.
 
 A file is laid out as safetensors (engine.tensors) and holds one word, "trabecula": plain JSON of
 
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,13 +31,17 @@ from trabecula import models
 from trabecula.core.checks import check_name
 from trabecula.core.errors import FileError, InputError, MissingExtraError
 from trabecula.core.image import Image
+from trabecula.core.recipe import versions
+from trabecula.core.request import Request
 from trabecula.engine import tensors
+from trabecula.engine.blocks import Box
 from trabecula.engine.memory import available_memory, format_bytes
 from trabecula.io.guard import check_there, report_damage
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method
 from trabecula.synth.api.model import FORMAT, KEY, STATE, VOXELS, Model, ModelState
 from trabecula.synth.api.registry import method, methods
+from trabecula.synth.api.windows import WindowModel, makes_boxes
 
 
 def load_model(source: str | os.PathLike[str]) -> Model:
@@ -195,3 +201,32 @@ def _check_finite(arrays: Mapping[str, np.ndarray]) -> None:
     for name, array in arrays.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise ValueError(f"{name!r} holds NaN or infinite numbers")
+
+
+class WorkerPayload:
+    """A model and a request that can be pickled; called with a box it gives the box's values.
+
+    The model travels as the bytes of its file; a worker opens them at its first box.
+    """
+
+    def __init__(self, model: WindowModel, request: Request) -> None:
+        self.data = model.to_bytes(history=dict(model.history), versions=versions())
+        self.request = request
+        self.__setstate__(self.__getstate__())
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"data": self.data, "request": self.request}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._model: Model | None = None
+        self._lock = threading.Lock()
+
+    def __call__(self, box: Box) -> np.ndarray:
+        """Return the values of a box."""
+        with self._lock:  # a worker may make several boxes at once
+            if self._model is None:
+                self._model = decode_model(self.data, Path("the model that was sent"))
+        if not makes_boxes(self._model):
+            raise TypeError("a model that makes no boxes was sent")
+        return self._model.values_of(self.request, box)

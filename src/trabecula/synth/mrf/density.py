@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
+from trabecula.numerics.bits import count_bits
 
 UNIT = 1 << 16
 """A factor of two in a density."""
@@ -81,43 +82,20 @@ LANES = 16
 _FLOOR = 2.0**-40
 """Least density: a level without candidates stays possible where another view supports it."""
 
-_S1, _S2, _S4 = (
-    np.uint64(0x5555555555555555),
-    np.uint64(0x3333333333333333),
-    np.uint64(0x0F0F0F0F0F0F0F0F),
-)
-
-_BYTES, _1, _2, _4, _56 = (
-    np.uint64(0x0101010101010101),
-    np.uint64(1),
-    np.uint64(2),
-    np.uint64(4),
-    np.uint64(56),
-)
-
-
-@inline
-def _bit_count(word):
-    """Count the bits that are set."""
-    word = word - ((word >> _1) & _S1)
-    word = (word & _S2) + ((word >> _2) & _S2)
-    word = (word + (word >> _4)) & _S4
-    return (word * _BYTES) >> _56
-
 
 # Loops of their own, over one row: LLVM turns only these into wide instructions.
 @inline
 def _set_distances(word, mask, row, distance):
     """Set the distances to the bits that differ in one word."""
     for p in range(len(row)):
-        distance[p] = _bit_count((row[p] ^ word) & mask)
+        distance[p] = count_bits((row[p] ^ word) & mask)
 
 
 @inline
 def _add_distances(word, mask, row, distance):
     """Add the bits that differ in a further word."""
     for p in range(len(row)):
-        distance[p] += np.uint8(_bit_count((row[p] ^ word) & mask))
+        distance[p] += np.uint8(count_bits((row[p] ^ word) & mask))
 
 
 @inline

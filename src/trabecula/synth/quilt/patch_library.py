@@ -15,9 +15,10 @@ import numpy as np
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.engine.compile import inline, kernel
+from trabecula.engine.compile import kernel
 from trabecula.fields.local import windowed
 from trabecula.measure.labelling import label_components
+from trabecula.numerics.bits import count_bits
 from trabecula.synth.quilt.config import QuiltConfig
 from trabecula.synth.quilt.period import agreement, cell_shifts, common_periods
 from trabecula.synth.shared.orient import Symmetry, apply_symmetry, symmetries
@@ -358,17 +359,6 @@ def _pack_words(layers, plane, rows, columns, words):
                 words[z, y, x] = word
 
 
-@inline
-def bit_count(word):
-    """Count the bits that are set; compilers know this form and replace it by one instruction."""
-    word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
-    word = (word & np.uint64(0x3333333333333333)) + (
-        (word >> np.uint64(2)) & np.uint64(0x3333333333333333)
-    )
-    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return (word * np.uint64(0x0101010101010101)) >> np.uint64(56)
-
-
 @kernel
 def _count_mismatches(wide, narrow, offsets, is_narrow, bits, masks, at, found):
     """Count mismatches word by word for some candidates at a time, so that a word is one simple
@@ -382,13 +372,13 @@ def _count_mismatches(wide, narrow, offsets, is_narrow, bits, masks, at, found):
             table = narrow if is_narrow[w] else wide
             if planes == 1:
                 for n in range(begin, end):
-                    found[n] += np.int32(bit_count((table[0, at[n] + offset] ^ first) & mask))
+                    found[n] += np.int32(count_bits((table[0, at[n] + offset] ^ first) & mask))
             else:
                 for n in range(begin, end):
                     other = table[0, at[n] + offset] ^ first
                     for plane in range(1, planes):
                         other |= table[plane, at[n] + offset] ^ bits[plane, w]
-                    found[n] += np.int32(bit_count(other & mask))
+                    found[n] += np.int32(count_bits(other & mask))
 
 
 @kernel
