@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import trabecula as tb
 from trabecula.measure import covariance_form, describe, floating, two_point
@@ -15,6 +16,7 @@ from trabecula.report.band import (
     LEAST_PART,
     Sizes,
     distance_limit,
+    excess_limit,
     expected_value,
     parts,
     value_band,
@@ -179,6 +181,32 @@ def test_long_waves_widen_the_band():
             low, high = value_band(known, whole, Sizes(1.0, 8.0, 8.0, exponent=exponent))
             inside[exponent] += low <= further <= high
     assert inside[0.5] >= 965 and inside[1.0] < 930
+
+
+@pytest.mark.parametrize("count", [4, 8])
+def test_bands_are_the_intervals_of_one_more_draw(count):
+    """Parts that tile the exemplar, and an image as large as a part: the textbook's interval, mean
+    +- t s sqrt(1 + 1/n), with s over n - 1.
+    """
+    values = np.array([3.0, 5.0, 4.0, 8.0, 6.0, 4.5, 5.5, 7.0])[:count]
+    mean, spread = values.mean(), values.std(ddof=1)
+    reach = stats.t.ppf(0.995, count - 1) * spread * np.sqrt(1 + 1 / count)
+    band = value_band(values, mean, Sizes(1.0, count, 1.0))
+    assert band == pytest.approx((max(mean - reach, 0), mean + reach), rel=0.02)
+    # Compared with an exemplar without end, of which the parts are independent samples.
+    endless = Sizes(1.0, 1e30, 1.0)
+    assert distance_limit(values, endless) == pytest.approx(mean + reach, rel=0.02)
+    excess = np.abs(values - 2.0)
+    wanted = 2 + excess.mean() + reach / spread * excess.std(ddof=1)
+    assert excess_limit(values, 2.0, endless) == pytest.approx(wanted, rel=0.02)
+
+
+def test_curves_reach_no_farther_than_the_parts():
+    """Parts of a picture are its thirds: what they cannot measure has no band."""
+    picture = field(0, (96, 96))
+    certificate = verify(picture, field(1, (96, 96)), r_max=50, level="quick")
+    lengths = {len(certificate.curves[who]["two_point"]) for who in ("exemplar", "image")}
+    assert lengths == {len(part["two_point"]) for part in certificate.curves["parts"]} == {32}
 
 
 def test_what_faces_bias_is_extrapolated_to_the_size_of_the_image():
