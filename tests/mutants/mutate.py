@@ -162,19 +162,20 @@ def _test(copy: Path, tests: list[str], log: Path, told: Connection) -> None:
     os.setsid()
     os.chdir(ROOT)
     os.environ.update(PYTHONPATH=str(copy), TRABECULA_THREADS="1")
+    sys.dont_write_bytecode = False  # compiling the package takes longer than most tests
     sys.path.insert(0, str(copy))
     status = pytest.main(["-x", "--no-header", "-p", "no:cacheprovider", *tests])
     told.send((int(status), sum(os.times()[:4])))
 
 
-def run_tests(copy: Path, tests: Sequence[str], *, timeout: float | None) -> tuple[str, float]:
-    """Run tests against a copy; return "passed", "failed", "timeout" or what else came, and the
-    seconds of CPU.
+def run_tests(
+    copy: Path, tests: Sequence[str], log: Path, *, timeout: float | None = None
+) -> tuple[str, float]:
+    """Run tests against a copy, their output into a file; return "passed", "failed", "timeout" or
+    what else came, and the seconds of CPU.
     """
     told, sender = _PROCESSES.Pipe(duplex=False)
-    process = _PROCESSES.Process(
-        target=_test, args=(copy, list(tests), copy.with_suffix(".log"), sender)
-    )
+    process = _PROCESSES.Process(target=_test, args=(copy, list(tests), log, sender))
     process.start()
     sender.close()
     try:
@@ -199,7 +200,7 @@ def try_mutant(mutant: Mutant, base: Path, copy: Path) -> tuple[str, float]:
     shutil.copytree(base, copy, copy_function=os.link)
     text = (base / "trabecula" / mutant.file).read_text()
     _write(copy / "trabecula", mutant.file, mutant.apply(text))
-    outcome, seconds = run_tests(copy, mutant.tests, timeout=TIMEOUT)
+    outcome, seconds = run_tests(copy, mutant.tests, copy.with_suffix(".log"), timeout=TIMEOUT)
     return {"failed": "killed", "passed": "survived"}.get(outcome, outcome), seconds
 
 
@@ -215,6 +216,26 @@ def table(results: list[tuple[Mutant, str]]) -> str:
             f"{room:<16}{known[0]:>8}{known[1]:>10}{known[2]:>9}{counts.total():>7}{same:>12}"
         )
     return "\n".join(lines)
+
+
+def _run_unchanged(base: Path, mutants: Sequence[Mutant], jobs: int) -> float | None:
+    """Run all tests of the mutants without a fault, which fills the cache of kernels; return the
+    seconds of CPU, None where one fails.
+    """
+    files: dict[str, set[str]] = {}
+    for mutant in mutants:
+        for test in mutant.tests:
+            files.setdefault(test.partition("::")[0], set()).add(test)
+    logs = [base.parent / f"unchanged-{number}.log" for number in range(len(files))]
+    with ThreadPoolExecutor(jobs) as pool:
+        tests = (sorted(nodes) for nodes in files.values())
+        found = list(pool.map(lambda nodes, log: run_tests(base, nodes, log), tests, logs))
+    for file, log, (outcome, _) in zip(files, logs, found, strict=True):
+        if outcome != "passed":
+            print(f"{outcome} without a fault: {file}\n{log.read_text()}")
+    seconds = sum(each for _, each in found)
+    print(f"without a fault: {seconds:.0f} s of CPU", flush=True)
+    return seconds if all(outcome == "passed" for outcome, _ in found) else None
 
 
 def main() -> int:
@@ -234,12 +255,9 @@ def main() -> int:
         return 0
     base = refresh_copy()
     run = [mutant for mutant in mutants if not mutant.equivalent]
-    tests = sorted({test for mutant in run for test in mutant.tests})
     started = time.monotonic()
-    outcome, seconds = run_tests(base, tests, timeout=None)
-    print(f"{outcome:<9} {seconds:5.1f} s of CPU  without a fault", flush=True)
-    if outcome != "passed":
-        print(base.with_suffix(".log").read_text())
+    seconds = _run_unchanged(base, run, chosen.jobs)
+    if seconds is None:
         return 2
     copies: SimpleQueue[Path] = SimpleQueue()
     for number in range(chosen.jobs):
