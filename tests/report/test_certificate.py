@@ -21,6 +21,7 @@ from trabecula.report.band import (
     parts,
     value_band,
 )
+from trabecula.report.reference import independent_coherence
 from trabecula.report.summary_text import sentences
 
 DISTANCES = ("porosity_error", "two_point_distance", "two_point_relative", "two_point_covariance")
@@ -207,6 +208,21 @@ def test_curves_reach_no_farther_than_the_parts():
     certificate = verify(picture, field(1, (96, 96)), r_max=50, level="quick")
     lengths = {len(certificate.curves[who]["two_point"]) for who in ("exemplar", "image")}
     assert lengths == {len(part["two_point"]) for part in certificate.curves["parts"]} == {32}
+
+
+def test_an_axis_that_the_exemplar_leaves_open_is_no_fault():
+    """Stripes go through along one axis; another sample of them is held to that one alone."""
+    stripes = (np.arange(96) % 8 < 3)[:, None] & np.ones(96, bool)
+    metrics = verify(stripes, np.roll(stripes, 3, axis=0), level="quick", r_max=8).metrics
+    assert metrics["percolates"].value == {"y": False, "x": True} and metrics["percolates"].passed
+    turned = verify(stripes, stripes.T.copy(), level="quick", r_max=8).metrics
+    assert turned["percolates"].passed is False
+
+
+def test_parts_are_searched_in_other_parts():
+    boxes = list(parts(tb.Image(field(0, (48, 24, 24)), "labels")))
+    shares = independent_coherence(boxes)
+    assert len(shares) == len(boxes) == 2 and max(shares) < 0.5
 
 
 def test_what_faces_bias_is_extrapolated_to_the_size_of_the_image():
