@@ -68,7 +68,7 @@ def test_a_model_makes_what_its_method_makes(place):
 
 def test_another_model_of_the_same_name_is_noticed(place):
     step = {"verb": "generate", "model": {"name": "b.model", "sha256": "0" * 64}}
-    with pytest.raises(NotReproducedError, match="b.model is another"):
+    with pytest.raises(NotReproducedError, match=r"b\.model is another"):
         model_and_request(step, folder=place)
 
 

@@ -30,6 +30,7 @@ from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Any
 
 import pytest
 
@@ -44,12 +45,6 @@ GOAL = 0.95
 
 TIMEOUT = 240.0
 """Seconds for the tests of one mutant."""
-
-# One process imports what takes seconds, each mutant's tests run in a fork of it.
-_PROCESSES = multiprocessing.get_context("forkserver")
-_PROCESSES.set_forkserver_preload(
-    ["numba", "hypothesis", "scipy.stats", "scipy.ndimage", "trimesh", "zarr", "torch"]
-)
 
 
 @dataclass(frozen=True)
@@ -154,6 +149,18 @@ def refresh_copy() -> Path:
     return base
 
 
+@cache
+def _processes() -> Any:
+    """Return where tests run: one process imports what takes seconds, each mutant's tests are a
+    fork of it.
+    """
+    found = multiprocessing.get_context("forkserver")  # not on Windows
+    found.set_forkserver_preload(
+        ["numba", "hypothesis", "scipy.stats", "scipy.ndimage", "trimesh", "zarr", "torch"]
+    )
+    return found
+
+
 def _test(copy: Path, tests: list[str], log: Path, told: Connection) -> None:
     """Run tests against a copy, in a process of its own; send pytest's status and CPU seconds."""
     with log.open("wb") as output:
@@ -174,8 +181,8 @@ def run_tests(
     """Run tests against a copy, their output into a file; return "passed", "failed", "timeout" or
     what else came, and the seconds of CPU.
     """
-    told, sender = _PROCESSES.Pipe(duplex=False)
-    process = _PROCESSES.Process(target=_test, args=(copy, list(tests), log, sender))
+    told, sender = _processes().Pipe(duplex=False)
+    process = _processes().Process(target=_test, args=(copy, list(tests), log, sender))
     process.start()
     sender.close()
     try:
@@ -207,7 +214,9 @@ def try_mutant(mutant: Mutant, base: Path, copy: Path) -> tuple[str, float]:
 def table(results: list[tuple[Mutant, str]]) -> str:
     """Return killed, survived and others by room."""
     rooms = sorted({mutant.room for mutant, _ in results})
-    lines = [f"{'room':<16}{'killed':>8}{'survived':>10}{'timeout':>9}{'other':>7}{'equivalent':>12}"]
+    lines = [
+        f"{'room':<16}{'killed':>8}{'survived':>10}{'timeout':>9}{'other':>7}{'equivalent':>12}"
+    ]
     for room in [*rooms, "all"]:
         counts = Counter(result for mutant, result in results if room in (mutant.room, "all"))
         known = [counts.pop(name, 0) for name in ("killed", "survived", "timeout")]

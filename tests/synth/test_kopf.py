@@ -143,7 +143,9 @@ def test_the_weights_bring_the_histogram_nearer_to_the_pictures():
     for strength in (0.0, 10.0):
         method = tb.method("kopf", histogram=False, reweighting=strength, corrections=0, **QUICK)
         made = method.fit(picture).generate(20, seed=1).values
-        shares = [np.bincount(v.ravel() >> 4, minlength=16) / v.size for v in (made, picture.values)]
+        shares = [
+            np.bincount(v.ravel() >> 4, minlength=16) / v.size for v in (made, picture.values)
+        ]
         apart.append(np.abs(shares[0] - shares[1]).sum())
     assert apart[1] < 0.93 * apart[0]
 
