@@ -10,7 +10,7 @@ endif
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --durations 20
 
-.PHONY: demo test test-all test-learn test-types test-cluster test-remote test-peers test-newest test-matrix check docs gallery bench wheel clean
+.PHONY: demo test test-all test-learn test-types test-cluster test-remote test-peers test-newest test-matrix mutants check docs gallery bench wheel clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -43,6 +43,9 @@ test-newest:                        ## the wheel on the newest Python at hand, w
 
 test-matrix:                        ## the same on every Python at hand, with the oldest and the newest; minutes each
 	$(PYTHON) tests/matrix/run.py
+
+mutants: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## faults put into a copy of the package, one at a time: the tests must find 95 % of them; 15 minutes
+	$(BIN)/python tests/mutants/mutate.py
 
 check: $(VENV)/dev.stamp            ## ruff, mypy, import rules of rooms and files
 	$(BIN)/ruff check src tests benchmarks docs

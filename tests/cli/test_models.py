@@ -10,6 +10,9 @@ from commands import attempt, refused, trabecula
 from trabecula import models
 from trabecula.core.recipe import digest
 from trabecula.engine import store
+from trabecula.engine.parallel import thread_count
+from trabecula.errors import InputError, NotReproducedError
+from trabecula.pipeline.replay import model_and_request
 
 REACH = ("--set", "reach=10", "--set", "corrections=2")
 
@@ -61,6 +64,31 @@ def test_a_model_makes_what_its_method_makes(place):
         and one.unit == "um"
     )
     assert trabecula("rerun", "m.npy").sha256 == with_model.sha256
+
+
+def test_another_model_of_the_same_name_is_noticed(place):
+    step = {"verb": "generate", "model": {"name": "b.model", "sha256": "0" * 64}}
+    with pytest.raises(NotReproducedError, match=r"b\.model is another"):
+        model_and_request(step, folder=place)
+
+
+@pytest.mark.parametrize(
+    ("words", "inner"),
+    [
+        (("generate", "scan.npy", "--shape", 9, "--out", "x.npy"), "generate._generate"),
+        (("fit", "scan.npy", "--method", "noise", "--out", "y.model"), "fit.shared.load_exemplar"),
+        (("plan", "scan.npy", "--method", "noise", "--shape", 9), "plan.GenerateTask.fit"),
+    ],
+)
+def test_the_threads_that_were_given_are_used(place, monkeypatch, words, inner):
+    used = []
+
+    def note(*_, **__):
+        used.append(thread_count())
+        raise InputError("enough")
+
+    monkeypatch.setattr(f"trabecula.cli.{inner}", note)
+    assert refused(*words, "--threads", 3) == "enough" and used == [3]
 
 
 def test_a_form_takes_the_voxels_of_the_model(place):

@@ -66,6 +66,11 @@ def test_spacings_are_those_of_the_axes():
         views_of([a, blobs(1, spacing=(3, 2))], ["yx", "zx"])
 
 
+def test_a_turned_picture_brings_its_spacings_to_the_axes_it_names():
+    wide, other = blobs(0, spacing=(2, 1)), blobs(1, spacing=(3, 2))
+    assert spacing_of(views_of([wide, other], ["xy", "zx"])) == (3, 1, 2)
+
+
 def test_pictures_of_other_amounts_contradict_each_other():
     with pytest.raises(
         InputError, match=r"the fraction of void is 0\.80 in one and 0\.50 in the other"

@@ -56,6 +56,21 @@ def test_the_box_may_be_met_by_turning_about_the_vertical():
     assert figures(np.pad(beam, 5), "size")["extent"] == [2, 2, 20]
 
 
+def test_a_part_may_not_be_laid_down_to_fit():
+    pillar = np.ones((40, 4, 4), bool)  # 20 mm high
+    assert verdicts(pillar, box=(19.9, 30, 30))["size"] == "refuse"
+    assert verdicts(pillar, box=(20, 2, 2))["size"] == "pass"
+
+
+def test_a_layer_holds_by_edges_too():
+    """In a layer, voxels that share an edge across the corner are fused: neither is an island."""
+    solid = np.zeros((2, 4, 4), bool)
+    solid[:, 1, 1] = solid[1, 2, 2] = True
+    assert print_layers.find_islands(solid)[0] == 0
+    solid[1, 2, 2], solid[1, 3, 3] = False, True
+    assert print_layers.find_islands(solid)[0] == 1
+
+
 def test_lengths_are_those_of_the_unit():
     for unit, factor in (("mm", 1), ("um", 1000), ("cm", 0.1), ("inch", 1 / 25.4)):
         image = tb.Image(block(), "labels", spacing=0.5 * factor, unit=unit)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import trabecula as tb
+from trabecula.errors import FileError
 from trabecula.io.lazy import open_slabs, volume_shape
 
 
@@ -97,4 +98,11 @@ def test_a_missing_chunk_is_told_before_anything_is_measured(foam, tmp_path):
     path = tb.write(foam, tmp_path / "foam.zarr")
     next(file for file in (path / "0" / "c").rglob("*") if file.is_file()).unlink()
     with pytest.raises(tb.errors.FileError, match="missing"):
+        open_slabs(path)
+
+
+def test_a_lost_chunk_is_not_read_as_zeros(foam, tmp_path):
+    path = tb.write(foam, tmp_path / "foam.zarr")
+    next(file for file in (path / "0" / "c").rglob("*") if file.is_file()).unlink()
+    with pytest.raises(FileError, match="chunks are missing"):
         open_slabs(path)

@@ -83,6 +83,12 @@ def test_straight_duct_has_its_share_of_the_area():
         assert tortuosity(turned, axis=axis, tolerance=1e-8).value == pytest.approx(1, rel=1e-7)
 
 
+def test_tortuosity_is_the_fraction_over_the_diffusivity():
+    values = medium(2)
+    found, flow = tortuosity(values, axis=0), diffusivity(values, axis=0)
+    assert found.value == pytest.approx((values == 0).mean() / flow.value) and found.value > 1.2
+
+
 def test_checkerboard_in_2d_tends_to_the_geometric_mean():
     # Keller 1964, doi:10.1063/1.1704146. Corners make finite volumes converge slowly, from below.
     errors = []

@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 import trabecula as tb
 from trabecula.errors import InputError
 from trabecula.measure.copying import coherence, coherent_patches, diversity, sources
+from trabecula.measure.copying.coherence import _sample_sites
 from trabecula.measure.copying.index import Geometry, build_tree, neighbourhoods_of, search
 from trabecula.measure.copying.kernels import FAR
+from trabecula.measure.copying.pair import prepare_pair
 
 
 def blobs(shape, *, seed, phases=2, width=3):
@@ -151,6 +153,30 @@ def test_a_mirrored_copy_is_found_with_mirrors_alone():
         == np.stack([place[:, 0] + 4, 30 - place[:, 1], place[:, 2] + 5], -1)
     )
     assert coherent_patches(taken).mean > 0.9 * np.count_nonzero(counted)
+
+
+def test_a_mirrored_candidate_that_is_nearer_breaks_a_patch():
+    """The image continues the exemplar for five planes; the last two are mirrored there, so that
+    the moved source is the nearest but for its mirror image.
+    """
+    rng = np.random.default_rng(0)
+    exemplar = rng.integers(0, 2, (7, 12, 5), np.uint8)
+    exemplar[2:5, :, 3:] = exemplar[2:5, :, 1::-1]  # the same in the mirror
+    image = exemplar.copy()
+    image[5:] = exemplar[5:, :, ::-1]
+    assert coherence(exemplar, image, k=(2,), size=5) == {2: 1}
+    found = coherence(exemplar, image, k=(2,), size=5, mirrors=True)[2]
+    assert found < 0.7
+
+
+def test_pairs_lie_forwards_and_backwards_along_every_axis():
+    pair = prepare_pair(SCAN, SCAN[:, 2:, 4:], size=5, half=False)
+    cubes = neighbourhoods_of(pair.image, pair.geometry)
+    sites, moves, fits = _sample_sites(cubes, pair, [1, 4], 600, 0)
+    assert np.all(np.count_nonzero(moves[fits], axis=1) == 1)
+    ways = [np.count_nonzero(moves[:, 1, axis] == way) for axis in range(3) for way in (-4, 4)]
+    assert min(ways) > 0.5 * max(ways)
+    assert np.all(cubes.counts[tuple((sites[:, None] + moves)[fits].T)])
 
 
 def test_flat_images_have_sources_too():

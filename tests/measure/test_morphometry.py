@@ -63,6 +63,14 @@ def test_connectivity_of_a_lattice(connectivity):
     assert connectivity_density(cut) == pytest.approx(1 / cut.size + 2 * cells / volume)
 
 
+def test_bone_is_connected_by_corners():
+    """A ring of four voxels that touch along edges only: one strut may be cut, by 26 neighbours."""
+    ring = np.zeros((3, 5, 5), np.uint8)
+    ring[1, [1, 2, 2, 3], [2, 1, 3, 2]] = 1
+    assert connectivity_density(ring, periodic=True) * ring.size == pytest.approx(1)
+    assert morphometry(ring, periodic=True)["Conn.D"] * ring.size == pytest.approx(1)
+
+
 def test_lengths_carry_the_spacing():
     solid = lattice(count=2)
     plain = morphometry(solid)

@@ -229,6 +229,14 @@ def test_a_solve_cut_short_says_so(monkeypatch):
     assert not found.converged and found.iterations == 2 and found.imbalance > 1e-4
 
 
+def test_the_imbalance_is_the_spread_of_the_flow_over_its_mean(monkeypatch):
+    module = importlib.import_module("trabecula.measure.transport.permeability")
+    monkeypatch.setattr(
+        module, "_section_flows", lambda *_, **__: (np.array([1.0, 1.25, 0.75]), 7, False)
+    )
+    assert permeability(medium(7, (3, 8, 8)), axis=0).imbalance == pytest.approx(0.5)
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -144,6 +144,16 @@ def test_lengths_are_in_the_unit_of_the_image():
     )
 
 
+def test_a_span_is_the_straight_line_in_the_unit_of_the_image():
+    bow = np.zeros((12, 12), np.uint8)
+    bow[1, 1:9] = bow[1:10, 8] = 1
+    graph = skeleton_graph(tb.Image(bow, "labels", spacing=(3.0, 2.0), unit="um"))
+    first, last = graph.path(0)[0], graph.path(0)[-1]
+    assert graph.branches == 1
+    assert graph.span[0] == pytest.approx(np.hypot(*(last - first) * (3.0, 2.0)))
+    assert graph.span[0] < graph.length[0]
+
+
 @given(volumes)
 def test_every_voxel_is_in_one_branch_or_joint(solid):
     graph = skeleton_graph(solid)

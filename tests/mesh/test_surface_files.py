@@ -60,6 +60,14 @@ def test_stl_is_in_millimetres_and_says_so(tmp_path, unit, factor):
     np.testing.assert_allclose(np.linalg.norm(records["n"], axis=1), 1, rtol=1e-5)
 
 
+def test_the_normals_of_an_stl_point_outwards(tmp_path):
+    mesh = tb.mesh(tb.Image(np.ones((2, 3, 4), bool), "labels", spacing=2.0, unit="mm"), smooth=0)
+    raw = write_mesh(mesh, tmp_path / "box.stl").read_bytes()[84:]
+    records = np.frombuffer(raw, np.dtype([("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")]))
+    away = records["c"].mean(axis=1) - np.array([4, 3, 2])  # from the middle of the box
+    assert np.all(np.einsum("ij,ij->i", records["n"], away) > 0)
+
+
 @pytest.mark.parametrize(
     ("unit", "name", "factor"),
     [

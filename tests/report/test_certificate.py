@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import trabecula as tb
 from trabecula.measure import covariance_form, describe, floating, two_point
@@ -15,10 +16,12 @@ from trabecula.report.band import (
     LEAST_PART,
     Sizes,
     distance_limit,
+    excess_limit,
     expected_value,
     parts,
     value_band,
 )
+from trabecula.report.reference import independent_coherence
 from trabecula.report.summary_text import sentences
 
 DISTANCES = ("porosity_error", "two_point_distance", "two_point_relative", "two_point_covariance")
@@ -183,6 +186,47 @@ def test_long_waves_widen_the_band():
             low, high = value_band(known, whole, Sizes(1.0, 8.0, 8.0, exponent=exponent))
             inside[exponent] += low <= further <= high
     assert inside[0.5] >= 965 and inside[1.0] < 930
+
+
+@pytest.mark.parametrize("count", [4, 8])
+def test_bands_are_the_intervals_of_one_more_draw(count):
+    """Parts that tile the exemplar, and an image as large as a part: the textbook's interval, mean
+    +- t s sqrt(1 + 1/n), with s over n - 1.
+    """
+    values = np.array([3.0, 5.0, 4.0, 8.0, 6.0, 4.5, 5.5, 7.0])[:count]
+    mean, spread = values.mean(), values.std(ddof=1)
+    reach = stats.t.ppf(0.995, count - 1) * spread * np.sqrt(1 + 1 / count)
+    band = value_band(values, mean, Sizes(1.0, count, 1.0))
+    assert band == pytest.approx((max(mean - reach, 0), mean + reach), rel=0.02)
+    # Compared with an exemplar without end, of which the parts are independent samples.
+    endless = Sizes(1.0, 1e30, 1.0)
+    assert distance_limit(values, endless) == pytest.approx(mean + reach, rel=0.02)
+    excess = np.abs(values - 2.0)
+    wanted = 2 + excess.mean() + reach / spread * excess.std(ddof=1)
+    assert excess_limit(values, 2.0, endless) == pytest.approx(wanted, rel=0.02)
+
+
+def test_curves_reach_no_farther_than_the_parts():
+    """Parts of a picture are its thirds: what they cannot measure has no band."""
+    picture = field(0, (96, 96))
+    certificate = verify(picture, field(1, (96, 96)), r_max=50, level="quick")
+    lengths = {len(certificate.curves[who]["two_point"]) for who in ("exemplar", "image")}
+    assert lengths == {len(part["two_point"]) for part in certificate.curves["parts"]} == {32}
+
+
+def test_an_axis_that_the_exemplar_leaves_open_is_no_fault():
+    """Stripes go through along one axis; another sample of them is held to that one alone."""
+    stripes = (np.arange(96) % 8 < 3)[:, None] & np.ones(96, bool)
+    metrics = verify(stripes, np.roll(stripes, 3, axis=0), level="quick", r_max=8).metrics
+    assert metrics["percolates"].value == {"y": False, "x": True} and metrics["percolates"].passed
+    turned = verify(stripes, stripes.T.copy(), level="quick", r_max=8).metrics
+    assert turned["percolates"].passed is False
+
+
+def test_parts_are_searched_in_other_parts():
+    boxes = list(parts(tb.Image(field(0, (48, 24, 24)), "labels")))
+    shares = independent_coherence(boxes)
+    assert len(shares) == len(boxes) == 2 and max(shares) < 0.5
 
 
 def test_what_faces_bias_is_extrapolated_to_the_size_of_the_image():

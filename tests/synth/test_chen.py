@@ -73,6 +73,16 @@ def test_the_penalties_spread_the_use_of_pixels():
     assert used[1] > 1.05 * used[0]
 
 
+def test_the_position_histogram_alone_spreads_the_use_of_pixels():
+    rng = np.random.default_rng(3)
+    picture = tb.Image(rng.permutation(30 * 30).reshape(30, 30).astype(np.uint16), "grey")
+    used = []
+    for weight in (0.0, 1.0):
+        method = tb.method("chen", index_penalty=0.0, position_penalty=weight, **QUICK)
+        used.append(len(np.unique(method.fit(picture).generate(16, seed=1).values)))
+    assert used[1] > 1.05 * used[0]
+
+
 @pytest.mark.whole
 def test_fractions_of_labels_are_exact():
     values = (np.random.default_rng(0).random((40, 40)) < 0.5).astype(float)

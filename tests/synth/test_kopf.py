@@ -140,6 +140,20 @@ def test_too_frequent_values_weigh_less():
     assert np.unique(factors[picture[0, 0] != 40]).tolist() == [200]
 
 
+def test_the_weights_bring_the_histogram_nearer_to_the_pictures():
+    """Section 3.2 of the paper: without histogram matching, votes forget the rare values."""
+    values = np.random.default_rng(0).random((30, 30)) ** 3 * 250
+    picture, apart = tb.Image(values.astype(np.uint8), "grey"), []
+    for strength in (0.0, 10.0):
+        method = tb.method("kopf", histogram=False, reweighting=strength, corrections=0, **QUICK)
+        made = method.fit(picture).generate(20, seed=1).values
+        shares = [
+            np.bincount(v.ravel() >> 4, minlength=16) / v.size for v in (made, picture.values)
+        ]
+        apart.append(np.abs(shares[0] - shares[1]).sum())
+    assert apart[1] < 0.93 * apart[0]
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [

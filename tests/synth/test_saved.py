@@ -17,6 +17,7 @@ from trabecula.engine import tensors
 from trabecula.errors import FileError, TrabeculaError, UnknownNameError
 from trabecula.synth.api.exemplar_info import ExemplarInfo, exemplar_info
 from trabecula.synth.api.serialize import load_model
+from trabecula.synth.shared.content.kinds import content_of
 
 EXEMPLAR = tb.crop(tb.sample("bone"), 16)
 
@@ -230,3 +231,22 @@ def test_every_shipped_model_has_a_card_and_can_be_read():
         )
         assert path.stat().st_size <= 60 << 20
         assert struct.unpack("<Q", path.read_bytes()[:8])[0] < 1 << 20
+
+
+def test_numbers_of_a_model_are_finite(data, tmp_path):
+    """Weights that a training has lost would make noise of every later result."""
+    _, arrays = about(data)
+    for lost in (np.nan, np.inf):
+        arrays["state.weights"] = np.array([0.5, lost], np.float32)
+        assert "'state.weights' holds NaN" in refused(tmp_path, changed(data, arrays))
+
+
+def test_outside_of_a_form_is_the_void_wherever_it_stands_among_the_phases():
+    facts = exemplar_info(tb.Image(EXEMPLAR.values, "labels", phases=("bone", "void")))
+    assert facts.empty_label == 1 and exemplar_info(EXEMPLAR).empty_label == 0
+    form = np.zeros((8, 8, 8), bool)
+    form[2:6, 2:6, 2:6] = True
+    turned = tb.Image(1 - EXEMPLAR.values, "labels", phases=("bone", "void"))
+    assert content_of([turned]).empty == 1
+    model = tb.method("noise", reach=4, corrections=0).fit(turned)
+    assert (model.generate(None, mask=form, seed=1).values[~form] == 1).all()

@@ -10,9 +10,15 @@ from scipy.ndimage import map_coordinates
 
 from trabecula.engine.parallel import threads
 from trabecula.errors import InputError, UnknownNameError
+from trabecula.synth.shared.matching.grid import Grid
 from trabecula.synth.shared.matching.kernels import CubeLayout, vote
+from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.orient import SETS, apply_symmetry, symmetries
+from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.energy import Energy, Feedback, adaptive_weights, energy, mismatch
+from trabecula.synth.texture.energy_rounds import Balance, energy_vote
+from trabecula.synth.texture.exemplar_rounds import level_of
 from trabecula.synth.texture.gradient import GradientVotes, add_votes, empty_votes, fold_votes
 from trabecula.synth.texture.poisson import solve_votes
 
@@ -460,3 +466,74 @@ def test_votes_are_frozen_but_not_copied():
     assert isinstance(votes, GradientVotes)
     with pytest.raises(AttributeError):
         votes.weights = None
+
+
+@pytest.mark.parametrize(("mu", "scale"), [(0.0, 1.0), (0.6, 1.0), (0.6, 8.0)])
+def test_a_round_minimises_equation_1_with_the_weights_of_equation_2(mu, scale):
+    """Written down densely: lambda sum_p w_p |s_p - e_p|^2 + mu sum_p |G(s_p) - G(e_p)|^2."""
+    config = TextureConfig(gradient=mu, adaptive=True, robustness=0.8)
+    smooth = np.cumsum(np.random.default_rng(1).integers(-9, 10, (9, 9, 9)), axis=0)
+    stack = Stack.of([np.clip(smooth, -127, 127).astype(np.int8)[None]])
+    candidates = Candidates.of(stack, width=4, step=2, variance=0.9, most=8)
+    grid = Grid.over(Region((8, 8, 8)), candidates)
+    field = np.random.default_rng(2).integers(-40, 41, (1, *grid.region.shape), np.int8)
+    match = np.random.default_rng(3).integers(0, len(candidates.features), grid.shape, np.int32)
+    balance = Balance(Feedback(scale=scale))
+    solved, after = energy_vote(grid, field, match, balance, config, trim=0)
+
+    cubes = []
+    for site in np.ndindex(*grid.shape):
+        corner = np.array(np.unravel_index(match[site], candidates.shape)) * candidates.stride
+        here = tuple(slice(2 * at, 2 * at + 4) for at in site)
+        there = tuple(slice(at, at + 4) for at in corner)
+        cubes.append((here, stack.field[0][there].astype(float)))
+    squared = [np.square(field[0][here] - cube).sum() for here, cube in cubes]
+    reference = np.sqrt(np.mean(squared) + 4**3)
+    number = np.arange(field.size).reshape(field.shape[1:])
+    matrix, right = np.zeros((field.size, field.size)), np.zeros(field.size)
+    for (here, cube), apart in zip(cubes, squared, strict=True):
+        weight = np.rint(64 * ((apart + 4**3) / reference**2) ** (-1.2 / 2)) / 64 * scale
+        np.add.at(matrix, (number[here].ravel(), number[here].ravel()), weight)
+        np.add.at(right, number[here].ravel(), weight * cube.ravel())
+        for axis in range(3):
+            slope = np.diff(cube, axis=axis).ravel()
+            low, high = (np.delete(number[here], end, axis).ravel() for end in (-1, 0))
+            for one, other, sign in ((low, high, -1), (high, low, 1)):
+                np.add.at(matrix, (one, one), mu)
+                np.add.at(matrix, (one, other), -mu)
+                np.add.at(right, one, sign * mu * slope)
+    wanted = np.linalg.solve(matrix, right).reshape(field.shape[1:])
+    assert np.sqrt(np.mean(np.square(solved[0] / 256 - wanted))) < 1 / 32
+    assert after.reference == pytest.approx(reference)
+    # The gradient energy after the vote, of pairs inside of a neighbourhood.
+    steep = 0.0
+    for here, cube in cubes:
+        rest = solved[0][here] / 256 - cube
+        steep += sum(np.square(np.diff(rest, axis=axis)).sum() for axis in range(3))
+    (found,) = after.feedback.trace
+    assert found.gradient == pytest.approx(steep)
+    assert found.weighted > found.gradient * mu > 0 or mu == 0
+
+
+def test_lambda_is_left_alone_unless_it_is_adaptive():
+    for adaptive, steps in ((True, (0.05, 0.3)), (False, (0.0, 0.0))):
+        feedback = Balance.at_first(TextureConfig(adaptive=adaptive), 7).feedback
+        assert (feedback.increase, feedback.decrease) == steps and feedback.most == 7
+
+
+def test_the_preset_holds_the_papers_numbers():
+    """Zhang, Chen, Wang, Wang 2017, sections 4.1 to 5.1."""
+    paper = TextureConfig(**TextureConfig.preset("paper"))
+    assert paper.neighbourhood == (10, 8, 4) and paper.levels == 2
+    assert [paper.step_of(width) for width in paper.neighbourhood] == [5, 4, 2]
+    assert paper.first_rounds == 30 and paper.rounds == (30,)
+    assert paper.search == "exact" and paper.nearest == 10 and paper.variance == 0.95
+    assert paper.adaptive and (paper.increase, paper.decrease) == (0.05, 0.3)
+    assert paper.gradient > 0 and paper.robustness == 0.8 and not paper.histogram
+
+
+def test_every_width_has_its_neighbourhoods_on_every_level():
+    stack = Stack.of([exemplar(4, channels=1, shape=(12, 12, 12))])
+    for index in range(2):
+        level = level_of(stack, index, TextureConfig(neighbourhood=(8, 6, 4)), distances=True)
+        assert [candidates.basis.width for candidates in level] == [8, 6, 4]

@@ -5,9 +5,12 @@ import pytest
 
 import trabecula as tb
 from trabecula.errors import InputError, RequestError
+from trabecula.synth.shared.content.fields import FULL
 from trabecula.synth.shared.matching import sources
 from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.matching.rounds import refine_field
 from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
+from trabecula.synth.shared.pyramid import halve
 
 QUICK = {"novelty": 0, "rounds": (2, 3), "first_rounds": 8, "sweeps": 1, "tries": 2}
 
@@ -362,3 +365,19 @@ def test_novelty_goes_with_labels_and_our_search_alone(bone):
         )
     with pytest.raises(InputError, match="novelty"):
         tb.method("texture", novelty=0.5).fit(tb.Image(bone.values * np.uint8(90), "grey"))
+
+
+def test_distances_count_in_the_voxels_of_their_level(bone):
+    """A distance halves with the resolution, and doubles again when the field is refined."""
+    model = tb.method("texture", novelty=0.0, levels=2, clip=10.0).fit(bone)
+    field = model.content.fields(bone)
+    for index in range(2):
+        wanted = np.rint(np.clip(field / 2**index, -10, 10) * (FULL / 10))
+        found = model.levels[index][0].stack.field
+        assert np.abs(found - wanted).max() <= 1
+        field = halve(field)
+    ramp = np.broadcast_to(np.arange(-20, 20, dtype=np.int8)[:, None, None], (1, 40, 3, 3))
+    fine = refine_field(ramp, (False,) * 3, distances=True)[0, :, 2, 2]
+    assert np.abs(fine - (2 * (np.arange(80) / 2 - 20.25))).max() <= 1.5
+    grey = refine_field(ramp, (False,) * 3, distances=False)[0, :, 2, 2]
+    assert np.abs(grey - (np.arange(80) / 2 - 20.25)).max() <= 1

@@ -195,7 +195,8 @@ def scaling_exponent(exemplar: Evenness) -> float:
     if len(exemplar.fraction) < 2:
         return 1.0
     one, other = exemplar.fraction[-2:]
-    if not other.deviation > 0 or other.edge <= one.edge:
+    # Windows as wide as whole periods do not vary.
+    if not min(one.deviation, other.deviation) > 0 or other.edge <= one.edge:
         return 1.0
     variances = [each.deviation**2 / _variance_share(exemplar, each.edge) for each in (one, other)]
     volumes = len(exemplar.extents) * math.log(other.edge / one.edge)

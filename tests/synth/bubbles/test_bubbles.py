@@ -172,3 +172,10 @@ def test_the_law_is_one_of_lengths():
     assert (fine.apart, fine.wall) == (20, 4)
     assert (coarse.apart, coarse.wall) == (10, 2)
     assert Growth(fine, 1, (0, 0, 0), (1, 1, 1), None).law.latest == 32
+
+
+def test_unevenness_is_drawn_by_the_seed():
+    law, box = law_of(BubblesConfig(roughness=1.0), 1.0, 3), ((0, 8), (0, 8), (0, 8))
+    shifts = [Growth(law, seed, (0, 0, 0), (8, 8, 8), None)._nodes(box)[0] for seed in (1, 1, 2)]
+    assert np.array_equal(shifts[0], shifts[1]) and 0 < np.abs(shifts[0]).max() <= law.shift
+    assert np.mean(shifts[0] != shifts[2]) > 0.9

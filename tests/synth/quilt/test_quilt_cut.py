@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import maximum_flow
 
 from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT
-from trabecula.synth.quilt.seams import ALL, LEAST, MOST, cut_in
+from trabecula.synth.quilt.seams import ALL, LEAST, MOST, _fill_path, cut_in
 
 MARGIN = 1
 HUGE = 10**6
@@ -139,3 +139,18 @@ def test_a_seam_goes_where_old_and_new_agree():
     made, cost = cut_in(window, (0, 0, 1), np.zeros((1, 5, 7), np.uint8))
     assert cost == 0
     assert made[0, 2].tolist() == [1, 1, 1, 0, 0, 0, 0, 0, EMPTY]
+
+
+def test_a_strut_goes_around_measured_voxels():
+    window = np.zeros((5, 5, 5), np.uint8)
+    window[2, 1, 2] = window[2, 2, 3] = FIXED
+    leaders = np.zeros(window.shape, np.int32)
+    leaders[2, 2, 0] = 7
+    line = 5 * (5 * 2 + 2) + np.arange(5)
+    came = np.full(window.size, -1, np.int32)
+    came[line[1:]] = line[:-1]
+    before = window.copy()
+    _fill_path(window, leaders, 7, line[-1], came, (1, 1, 1), 1, 1)
+    assert np.array_equal(window[before == FIXED], before[before == FIXED])
+    assert window[2, 2, 1] == window[2, 2, 2] == window[1, 2, 2] == window[2, 3, 2] == 1
+    assert not window[2, 2, 4], "the margin belongs to other boxes"
