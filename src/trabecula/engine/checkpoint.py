@@ -175,6 +175,8 @@ def identity_in(path: Path) -> str | None:
 
 def _about(path: Path) -> dict[str, Any]:
     """Read identity, stage, number and step of a checkpoint; nothing of a file that is none."""
+    if not path.is_file():  # a pipe would be waited for
+        return {}
     try:
         with np.load(path, allow_pickle=False) as stored:
             about = json.loads(bytes(stored[_ABOUT]))
@@ -184,7 +186,16 @@ def _about(path: Path) -> dict[str, Any]:
                 "number": int(about["number"]),
                 "step": dict(about.get("step") or {}),
             }
-    except (OSError, ValueError, TypeError, EOFError, KeyError, zipfile.BadZipFile):
+    except (
+        OSError,
+        ValueError,
+        TypeError,
+        EOFError,
+        KeyError,
+        MemoryError,
+        RecursionError,
+        zipfile.BadZipFile,
+    ):
         return {}
 
 

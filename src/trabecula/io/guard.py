@@ -146,6 +146,10 @@ def check_there(path: Path | Remote) -> None:
                 "that makes it"
             )
         raise FileError(f"there is no file {path}{_near(path)}")
+    if not path.is_file() and not path.is_dir():
+        raise FileError(
+            f"cannot read {path}: it is a pipe or a device; copy what it gives into a file"
+        )
     if path.is_file() and path.stat().st_size == 0:
         raise FileError(f"cannot read {path}: it is empty (0 bytes); write or copy it again")
 
