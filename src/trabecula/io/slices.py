@@ -15,7 +15,7 @@ from trabecula.core.progress import track
 from trabecula.engine.files import replacing
 from trabecula.io import raster
 from trabecula.io.formats import format_of, suffixes
-from trabecula.io.guard import check_claim, check_dtype, check_there, report_damage
+from trabecula.io.guard import check_claim, check_dtype, report_damage
 from trabecula.io.metadata import FileContent, decode, encode, greys_of_labels, labels_of_greys
 
 _FIELDS = "trabecula.json"
@@ -102,7 +102,6 @@ def _slices(path: Path) -> list[Path]:
 
 
 def _plane(name: Path) -> FileContent:
-    check_there(name)
     content = format_of(name).read(name)
     if content.values.ndim - content.colour != 2:
         raise FileError(f"{name} is a stack of its own, not a slice: read it alone")

@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 from urllib.request import url2pathname
 
+from trabecula.core.checks import as_path_text
 from trabecula.engine.storage.local import Folder, Location
 from trabecula.engine.storage.remote import Remote
 
@@ -22,7 +23,7 @@ _ADDRESS = re.compile(r"(?P<protocol>[a-z][a-z0-9+.:-]+)://", re.IGNORECASE)
 
 def is_address(path: AnyPath) -> bool:
     """Return whether a path is an address beyond this machine's folders."""
-    found = _ADDRESS.match(os.fspath(path))
+    found = _ADDRESS.match(as_path_text(path))
     return found is not None and found["protocol"].lower() not in ("file", "local")
 
 
@@ -30,7 +31,7 @@ def location_of(path: AnyPath) -> Location:
     """Return the location that a path or an address names; file:// is a folder."""
     if isinstance(path, Location):
         return path
-    text = os.fspath(path)
+    text = as_path_text(path)
     if is_address(text):
         return Remote(text)
     found = _ADDRESS.match(text)
