@@ -10,7 +10,7 @@ endif
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --durations 20
 
-.PHONY: demo test test-all test-learn test-types test-cluster test-remote test-peers test-newest test-matrix mutants check docs gallery bench wheel clean
+.PHONY: demo test test-all test-learn test-types test-cluster test-remote test-peers test-newest test-matrix mutants fuzz check docs gallery bench wheel clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -37,6 +37,10 @@ test-remote: $(VENV)/dev.stamp $(VENV)/remote.stamp   ## the tests that need an 
 
 test-peers: $(VENV)/dev.stamp $(VENV)/peers.stamp   ## packages of the field take an image as an array: they are installed, 1.2 GB
 	$(BIN)/python -m pytest tests/peers
+
+fuzz: $(VENV)/dev.stamp             ## 10,000 damaged files and 1,000 strange calls: an error of ours or a sound result; minutes
+	$(BIN)/python tests/fuzz/run.py files --count 10000
+	$(BIN)/python tests/fuzz/run.py arguments --count 1000
 
 test-newest:                        ## the wheel on the newest Python at hand, with the newest dependencies that the index has
 	$(PYTHON) tests/matrix/run.py --python last --dependencies newest

@@ -169,7 +169,7 @@ def test_cases_are_data(tmp_path):
     ("given_", "words"),
     [
         ({"of": "cantilver"}, "did you mean 'cantilever'"),
-        ({"of": "missing.json"}, "cannot read the case"),
+        ({"of": "missing.json"}, "there is no file missing.json"),
         ({"of": {"shape": (2, 2, 2)}}, "needs shape, supports and loads"),
         ({"of": {"shape": (2, 2, 2), "supports": [{}], "loads": []}}, "a support has box and axes"),
         (

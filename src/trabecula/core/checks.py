@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -21,15 +22,38 @@ MOST_ANISOTROPIC = 1e15
 """Of a voxel's edges: far beyond any scan, and squares of their ratio still fit into float32."""
 
 
+def quote(value: Any) -> str:
+    """Return a value as a message shows it: its `repr` in one line, cut where it is long."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 100 else f"{text[:97]}..."
+
+
+def as_path_text(path: Any) -> str:
+    """Return a path as text; InputError where it is none."""
+    try:
+        text = os.fspath(path)
+    except TypeError:
+        text = None
+    if not isinstance(text, str) or "\0" in text:
+        raise InputError(f"{quote(path)} is no path: give a string or a Path")
+    return text
+
+
+def check_type(value: Any, kind: type, *, name: str, advice: str) -> None:
+    """Raise where a value is not of a class, with what gives one."""
+    if not isinstance(value, kind):
+        raise InputError(f"{name} is {type(value).__name__}, {kind.__name__} is needed: {advice}")
+
+
 def check_name(value: str, known: Iterable[str], *, name: str) -> None:
     """Raise `UnknownNameError` where `value` is not in `known`, suggesting the nearest that is."""
     known = sorted(known)
-    if value in known:
+    if isinstance(value, str) and value in known:
         return
     near = difflib.get_close_matches(str(value), known, n=1, cutoff=0.5)
     hint = f"did you mean {near[0]!r}? " if near else ""
     raise UnknownNameError(
-        f"unknown {name} {value!r}: {hint}known are {', '.join(known) or 'none'}"
+        f"unknown {name} {quote(value)}: {hint}known are {', '.join(known) or 'none'}"
     )
 
 
@@ -54,10 +78,10 @@ def as_shape(value: int | Sequence[int], *, ndim: int = 3, name: str = "shape") 
         sides = [int(side) for side in raw]
     except (TypeError, ValueError, OverflowError):
         raise InputError(
-            f"{name} {value!r} is not made of integers: give one number or {ndim}"
+            f"{name} {quote(value)} is not made of integers: give one number or {ndim}"
         ) from None
     if any(side != given for side, given in zip(sides, raw, strict=True)):
-        raise InputError(f"{name} {value!r} is not made of whole numbers")
+        raise InputError(f"{name} {quote(value)} is not made of whole numbers")
     if len(sides) == 1:
         sides = sides * ndim
     if len(sides) != ndim:
@@ -84,7 +108,9 @@ def as_spacing(value: float | Sequence[float] | None, *, ndim: int) -> tuple[flo
         )
         edges = [float(edge) for edge in raw]
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"spacing {value!r} is not made of numbers: give one or {ndim}") from None
+        raise InputError(
+            f"spacing {quote(value)} is not made of numbers: give one or {ndim}"
+        ) from None
     if len(edges) == 1:
         edges = edges * ndim
     if len(edges) != ndim:
@@ -105,7 +131,7 @@ def as_spacing(value: float | Sequence[float] | None, *, ndim: int) -> tuple[flo
 def as_seed(value: int) -> int:
     """Return a seed: an integer from 0 to 2**63 - 1."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise InputError(f"seed {value!r} is not an integer")
+        raise InputError(f"seed {quote(value)} is not an integer")
     if not 0 <= int(value) < 2**63:
         raise InputError(f"seed {value} is outside 0 .. 2**63 - 1")
     return int(value)
@@ -122,7 +148,7 @@ def as_number(
         value, bool
     )
     if not number or (whole and value != value // 1):
-        raise InputError(f"{name}={value!r} should be {kind} from {low} to {high}")
+        raise InputError(f"{name}={quote(value)} should be {kind} from {low} to {high}")
     if not low <= value <= high:
         raise InputError(f"{name}={value} is outside {low} .. {high}")
     return int(value) if whole else float(value)

@@ -20,7 +20,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, DTypeLike
 
 from trabecula.core import display, indexing
-from trabecula.core.checks import as_spacing, check_finite, check_name
+from trabecula.core.checks import as_spacing, check_finite, check_name, quote
 from trabecula.core.errors import InputError
 from trabecula.core.recipe import Recipe
 
@@ -413,6 +413,11 @@ def phase_index(image: Image, phase: str | int | None, *, default: str) -> int:
     if isinstance(phase, str):
         check_name(phase, image.phases, name="phase")
         return image.phases.index(phase)
+    if isinstance(phase, bool) or not isinstance(phase, int | np.integer):
+        raise InputError(
+            f"phase {quote(phase)} is neither a name nor a number: the image has "
+            f"{', '.join(image.phases)}"
+        )
     if not 0 <= int(phase) < len(image.phases):
         raise InputError(f"phase {phase} does not exist: the image has 0..{len(image.phases) - 1}")
     return int(phase)

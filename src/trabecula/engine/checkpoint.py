@@ -18,7 +18,6 @@ import json
 import math
 import os
 import time
-import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
@@ -34,7 +33,7 @@ from trabecula.core.image import Image, describe_fields
 from trabecula.core.progress import notify
 from trabecula.core.recipe import digest, versions
 from trabecula.core.request import Request
-from trabecula.engine.files import read_npz, replacing, write_npz
+from trabecula.engine.files import UNREADABLE, read_npz, replacing, write_npz
 from trabecula.engine.lock import hold_lock
 
 EVERY = 15.0
@@ -175,6 +174,8 @@ def identity_in(path: Path) -> str | None:
 
 def _about(path: Path) -> dict[str, Any]:
     """Read identity, stage, number and step of a checkpoint; nothing of a file that is none."""
+    if not path.is_file():  # a pipe would be waited for
+        return {}
     try:
         with np.load(path, allow_pickle=False) as stored:
             about = json.loads(bytes(stored[_ABOUT]))
@@ -184,7 +185,7 @@ def _about(path: Path) -> dict[str, Any]:
                 "number": int(about["number"]),
                 "step": dict(about.get("step") or {}),
             }
-    except (OSError, ValueError, TypeError, EOFError, KeyError, zipfile.BadZipFile):
+    except UNREADABLE:
         return {}
 
 
@@ -201,7 +202,7 @@ def resume(stage: str) -> Checkpoint | None:
     number, keeper.found = int(keeper.found["number"]), None
     try:
         arrays = read_npz(keeper.path, _PREFIX)
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+    except UNREADABLE as error:
         notify(f"{keeper.path.name} is damaged ({error}): starting from the beginning")
         return None
     notify(f"resuming from {keeper.path.name}: {stage}, {number} rounds done")

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import shutil
+import struct
 import uuid
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 
@@ -18,6 +22,23 @@ _AT_ONCE = 1 << 24
 """Bytes of an array that are copied at once."""
 
 _SUFFIX = ".npy"
+
+UNREADABLE: tuple[type[Exception], ...] = (
+    OSError,
+    ValueError,
+    TypeError,
+    LookupError,
+    ArithmeticError,
+    EOFError,
+    MemoryError,
+    RuntimeError,
+    SyntaxError,
+    TokenError,
+    struct.error,
+    zlib.error,
+    zipfile.BadZipFile,
+)
+"""Raised by a damaged file of arrays, or of the JSON in it."""
 
 
 @contextmanager
@@ -104,7 +125,7 @@ def read_npz(path: Path, prefix: str = "") -> dict[str, np.ndarray]:
 
     Raises
     ------
-    OSError, EOFError, ValueError, zipfile.BadZipFile
+    One of `UNREADABLE`
         It is damaged (every member is checked against its CRC-32), or none of `write_npz`.
     """
     found = {}
@@ -117,6 +138,9 @@ def read_npz(path: Path, prefix: str = "") -> dict[str, np.ndarray]:
                 shape, turned, dtype = np.lib.format.read_array_header_1_0(member)
                 if turned:
                     raise ValueError(f"{name} is stored column by column")
+                info = file.getinfo(name)
+                if info.compress_size < math.prod(shape) * dtype.itemsize:
+                    raise ValueError(f"{name} claims more than it holds")
                 array = memmap.empty(shape, dtype)
                 for part in _parts(array):
                     read = member.read(part.nbytes)

@@ -21,6 +21,7 @@ from typing import Any
 from urllib.request import url2pathname
 from uuid import uuid4
 
+from trabecula.core.checks import as_path_text
 from trabecula.core.errors import FileError, InputError, MissingExtraError, TrabeculaError
 from trabecula.core.optional import need
 from trabecula.engine.files import put_in_place, remove, replacing
@@ -374,7 +375,7 @@ class Remote(Location):
 
 def is_address(path: AnyPath) -> bool:
     """Return whether a path is an address beyond this machine's folders."""
-    found = _ADDRESS.match(os.fspath(path))
+    found = _ADDRESS.match(as_path_text(path))
     return found is not None and found["protocol"].lower() not in ("file", "local")
 
 
@@ -382,7 +383,7 @@ def location_of(path: AnyPath) -> Location:
     """Return the location that a path or an address names; file:// is a folder."""
     if isinstance(path, Location):
         return path
-    text = os.fspath(path)
+    text = as_path_text(path)
     if is_address(text):
         return Remote(text)
     found = _ADDRESS.match(text)

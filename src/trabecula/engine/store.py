@@ -11,6 +11,7 @@ of writing (Zarr's shard); the cubes of half its edge in it are the unit of read
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,8 @@ _OF = "identity"
 _EDGE, _SIDE = "chunk", "block"
 # a chunk that is not there is then a chunk that was lost
 _EVERY_CHUNK: Any = {"write_empty_chunks": True}
+_MOST_CHUNKS = 10**7  # of 2 MiB each, 20 TB
+_MOST_CRUMBS, _CRUMB = 10**4, 1024  # chunks that are smaller than their names
 _LEVEL = 3  # of zstd: labels shrink 20-fold at 1 GB/s; higher levels gain little
 
 
@@ -56,8 +59,12 @@ class Store:
         Raises
         ------
         ValueError
-            Chunks are missing; zarr itself would give zeros for them.
+            Chunks are missing; zarr itself would give zeros for them. Or they are so many and so
+            small that reading them would not end.
         """
+        count, size = _chunks(self.array)
+        if count > _MOST_CHUNKS or (count > _MOST_CRUMBS and size < _CRUMB):
+            raise ValueError(f"its header claims {count} chunks of {size} bytes")
         if self.fields:  # elsewhere a missing chunk means its fill value
             files = _files(self.array)
             missing = self.place.missing(files)
@@ -366,7 +373,10 @@ def _open(place: Location, level: int) -> Store:
     if datasets is not None:
         _check_level(place, level, len(datasets))
         scale, unit = calibration(found, level)
-        return Store(place, node[datasets[level]["path"]], ours, scale, unit)
+        array = node[datasets[level]["path"]]
+        if not isinstance(array, zarr.Array):
+            raise ValueError(f"its level {level} is no array")
+        return Store(place, array, ours, scale, unit)
     _check_level(place, level, 1)
     return Store(
         place, node if isinstance(node, zarr.Array) else _only_array(place, node), {}, (), None
@@ -389,6 +399,14 @@ def _only_array(place: Location, group: Any) -> Any:
             "own path"
         )
     return group[arrays[0]]
+
+
+def _chunks(array: Any) -> tuple[int, int]:
+    """Return the files of an array, and the bytes of one before it is packed."""
+    edges = array.shards or array.chunks
+    sides = zip(array.shape, edges, strict=True)
+    count = math.prod(-(-side // edge) for side, edge in sides)
+    return count, math.prod(edges) * array.dtype.itemsize
 
 
 def _files(array: Any) -> list[str]:

@@ -19,7 +19,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from trabecula.core.checks import check_name
+from trabecula.core.checks import check_name, check_type
 from trabecula.core.errors import FileError, InputError, TrabeculaError
 from trabecula.core.image import Image, describe_fields
 from trabecula.core.progress import track
@@ -95,6 +95,7 @@ def finish_slabs(
     FileError
         The result or the scratch files cannot be written; another process writes this result.
     """
+    check_type(volume, Slabs, name="volume", advice="tb.open_slabs gives one")
     target = location_of(path)
     if not target.name.lower().endswith(".zarr"):
         raise InputError(

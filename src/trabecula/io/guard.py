@@ -6,6 +6,7 @@ import binascii
 import difflib
 import lzma
 import math
+import os
 import struct
 import sys
 import traceback
@@ -146,8 +147,26 @@ def check_there(path: Path | Remote) -> None:
                 "that makes it"
             )
         raise FileError(f"there is no file {path}{_near(path)}")
+    for pipe in _pipes(path):
+        raise FileError(
+            f"cannot read {path}: {pipe} is a pipe or a device; copy what it gives into a file"
+        )
     if path.is_file() and path.stat().st_size == 0:
         raise FileError(f"cannot read {path}: it is empty (0 bytes); write or copy it again")
+
+
+def _pipes(path: Path) -> Iterator[Path]:
+    """Yield what is neither a file nor a folder, at a path or below it: reading it never ends."""
+    if not path.is_dir():
+        if not path.is_file():
+            yield path
+        return
+    with os.scandir(path) as entries:
+        for entry in entries:
+            if entry.is_dir(follow_symlinks=False):
+                yield from _pipes(Path(entry.path))
+            elif not entry.is_file() and not entry.is_dir() and Path(entry.path).exists():
+                yield Path(entry.path)
 
 
 def _near(path: Path) -> str:

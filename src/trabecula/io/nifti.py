@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from trabecula.io.units import canonical, has_length, to_metres
 
 _RGB = np.dtype([("R", "u1"), ("G", "u1"), ("B", "u1")])
 _UNITS = {"m": "meter", "mm": "mm", "um": "micron"}  # all that the header can say
+_ORDERS: dict[str, Literal["little", "big"]] = {"<": "little", ">": "big"}
 _COMMENT = 6  # code of an extension that holds text
 
 
@@ -54,9 +55,10 @@ def read(path: Path) -> FileContent:
 
     families = (nibabel.filebasedimages.ImageFileError, nibabel.spatialimages.HeaderDataError)
     with report_damage(path, "NIfTI", also=families), _quiet(nibabel.imageglobals.logger):
+        size = path.stat().st_size
+        _check_extensions(path, size * (1 if path.suffix.lower() == ".nii" else DEFLATE))
         picture: Any = nibabel.load(path)
         header, proxy = picture.header, picture.dataobj
-        size = path.stat().st_size
         room = size - int(proxy.offset) if path.suffix.lower() == ".nii" else size * DEFLATE
         check_claim(path, picture.shape, header.get_data_dtype(), stored=room)
         values = np.asanyarray(proxy)  # scaled where the header says so
@@ -77,6 +79,28 @@ def read(path: Path) -> FileContent:
             unit=None if unit == "unknown" else unit,
             fields=_read_fields(header.extensions),
         )
+
+
+def _check_extensions(path: Path, room: int) -> None:
+    """Raise where an extension of the header claims more than the file can hold: nibabel would ask
+    for it in one piece.
+    """
+    import nibabel
+
+    with nibabel.openers.ImageOpener(path) as file:
+        start = file.read(544)
+        form = nibabel.Nifti2Header if start[4:7] == b"n+2" else nibabel.Nifti1Header
+        at = form.template_dtype.itemsize
+        if len(start) < at + 4 or not start[at]:
+            return
+        header = form(start[:at], check=False)
+        at += 4
+        while at + 16 <= header["vox_offset"]:
+            file.seek(at)
+            claim = int.from_bytes(file.read(4), _ORDERS[header.endianness], signed=True)
+            if not 8 <= claim <= room - at:
+                raise ValueError(f"an extension of its header claims {claim} bytes")
+            at += claim
 
 
 @contextmanager

@@ -13,7 +13,7 @@ import numpy as np
 from trabecula.core.errors import FileError
 from trabecula.core.recipe import digest
 from trabecula.engine.files import replacing
-from trabecula.io.guard import report_damage
+from trabecula.io.guard import check_there, report_damage
 from trabecula.io.metadata import decode
 
 
@@ -46,6 +46,7 @@ def read_sidecar(path: Path, values: np.ndarray) -> dict[str, Any] | None:
     beside = sidecar_path(path)
     if not beside.exists():
         return None
+    check_there(beside)
     with report_damage(beside, "metadata"):
         text = beside.read_text(encoding="utf-8")
         fields = decode(text)

@@ -120,7 +120,7 @@ def _alike(plane: FileContent, first: FileContent, name: Path) -> FileContent:
 
 def _read_fields(path: Path, shape: tuple[int, ...]) -> dict[str, Any] | None:
     """Read the JSON in the folder; ValueError where slices are missing."""
-    if not (path / _FIELDS).exists():
+    if not (path / _FIELDS).is_file():
         return None
     fields = decode((path / _FIELDS).read_text(encoding="utf-8"))
     if fields is None or list(shape) != fields.get("shape"):

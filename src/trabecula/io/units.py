@@ -52,7 +52,7 @@ def canonical(unit: str) -> str:
 
 def check_unit(unit: str) -> None:
     """Raise `UnknownNameError` where a unit is not in the table."""
-    if canonical(unit) not in (*_LENGTHS, NO_LENGTH):
+    if not isinstance(unit, str) or canonical(unit) not in (*_LENGTHS, NO_LENGTH):
         check_name(unit, (*_LENGTHS, NO_LENGTH), name="unit")
 
 

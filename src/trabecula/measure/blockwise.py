@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.core.checks import as_number, check_name
+from trabecula.core.checks import as_number, check_name, check_type
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
@@ -84,6 +84,7 @@ def describe_slabs(
     MemoryBudgetError
         Not even a slab of one plane fits.
     """
+    check_type(volume, Slabs, name="volume", advice="tb.open_slabs gives one")
     check_name(level, LEVELS, name="level")
     if level == "full" and box is None:
         raise InputError(

@@ -7,6 +7,7 @@ from dataclasses import replace
 from os import PathLike, fspath
 from pathlib import Path
 
+from trabecula.core.checks import as_path_text
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.recipe import Recipe
 from trabecula.engine.files import replacing
@@ -40,7 +41,7 @@ def write_mesh(mesh: Mesh, path: str | PathLike[str]) -> Path:
     FileError
         The file cannot be written.
     """
-    path = Path(path)
+    path = Path(as_path_text(path))
     form = surface_format(path)
     if not len(mesh.faces):
         raise InputError("the mesh has no faces: there is nothing to write")
@@ -87,7 +88,7 @@ def read_mesh(path: str | PathLike[str], *, unit: str | None = None) -> Mesh:
     ...     read_mesh(path, unit="mm")
     <Mesh 52 vertices, 100 faces, mm>
     """
-    path = Path(path)
+    path = Path(as_path_text(path))
     form = surface_format(path, READABLE)
     check_there(path)
     if unit is not None:

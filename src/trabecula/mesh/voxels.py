@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from trabecula.core.checks import as_number, as_shape, as_spacing
+from trabecula.core.checks import as_number, as_shape, as_spacing, check_type
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
@@ -78,6 +78,7 @@ def voxelise(
     >>> bool((again.values == block).all())
     True
     """
+    check_type(mesh, Mesh, name="mesh", advice="tb.read_mesh gives one of a file")
     edges = as_spacing(spacing, ndim=3)
     closed = _weld_if_open(mesh)
     low, high = (bound[::-1] for bound in _bounds(closed))

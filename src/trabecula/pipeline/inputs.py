@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from trabecula.core.checks import as_shape, check_name
+from trabecula.core.checks import as_path_text, as_shape, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, declare_fields, default_phases
 from trabecula.core.progress import listen, notify
@@ -57,7 +57,7 @@ def load(
     FileError, UnknownNameError
         As `read`.
     """
-    name = os.fspath(source)
+    name = as_path_text(source)
     phases = reading.pop("phases", None)
     if name.startswith(SAMPLE_PREFIX):
         if reading or phases:

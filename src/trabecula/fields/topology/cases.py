@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.checks import check_name
-from trabecula.core.errors import FileError, InputError
+from trabecula.core.errors import InputError
+from trabecula.io.guard import check_there, report_damage
 
 Box = tuple[tuple[float, float], ...]
 """From and to along z, y, x, in shares of the sides 0 .. 1; a face, edge or corner where both are
@@ -118,12 +119,10 @@ def case(source: str | Path | Mapping[str, Any] | Case) -> Case:
     if path.suffix != ".json":
         check_name(str(source), CASES, name="case (or a .json file)")
         return CASES[str(source)]
-    try:
-        return _from_mapping(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise FileError(
-            f"cannot read the case {path}: {getattr(error, 'strerror', None) or error}"
-        ) from None
+    check_there(path)
+    with report_damage(path, "a case"):
+        plain = json.loads(path.read_text(encoding="utf-8"))
+    return _from_mapping(plain)
 
 
 def to_json(given: Case) -> dict[str, Any]:
@@ -150,7 +149,7 @@ def _from_mapping(given: Any) -> Case:
             for name in ("volume", "low", "high", "penalty")
             if name in given
         }
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
         raise InputError(
             f"the case cannot be read ({type(error).__name__}: {error}): "
             "a support has box and axes, a load box and force"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core.checks import as_number
+from trabecula.core.checks import as_number, check_type
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.compile import inline, kernel
@@ -138,6 +138,7 @@ def coherent_patches(taken: Sources) -> CoherentPatches:
     InputError
         No voxel has a source.
     """
+    check_type(taken, Sources, name="taken", advice="measure.sources gives them")
     counted = taken.position[..., 0] >= 0
     if not counted.any():
         raise InputError("no voxel of the map has a source: the image has no interface")

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from trabecula import models
-from trabecula.core.checks import check_name
+from trabecula.core.checks import as_path_text, check_name
 from trabecula.core.errors import FileError, InputError, MissingExtraError
 from trabecula.core.image import Image
 from trabecula.core.recipe import versions
@@ -83,7 +83,7 @@ def load_model(source: str | os.PathLike[str]) -> Model:
 
 def place_of(source: str | os.PathLike[str]) -> Path:
     """Return the file of a model: the path itself, or that of a shipped model of that name."""
-    path, known = Path(source), models.shipped_models()
+    path, known = Path(as_path_text(source)), models.shipped_models()
     if path.is_dir():
         raise FileError(f"cannot read {path} as a model: it is a folder")
     if not path.exists() and os.fspath(source) in known:

@@ -7,7 +7,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ from trabecula.core.image import Image
 from trabecula.core.optional import need
 from trabecula.core.progress import notify
 from trabecula.core.recipe import digest
-from trabecula.engine.files import replacing
+from trabecula.engine.files import UNREADABLE, replacing
 from trabecula.synth.gan.config import GanConfig
 
 _CHECKPOINT, _ABOUT, _FORMAT = "training.npz", "about", 2
@@ -162,7 +161,7 @@ def load_checkpoint(config: GanConfig, image: Image) -> TrainingCheckpoint | Non
             arrays = {
                 name.removeprefix("state."): stored[name] for name in stored.files if name != _ABOUT
             }
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+    except UNREADABLE as error:
         notify(f"{path.name} is damaged ({error}): starting from the beginning")
         return None
     if about.pop("identity", None) != _identity(config, image):

@@ -1,0 +1,150 @@
+"""Files of every format by other packages' code, both ways; each test is skipped by name where its
+package is not installed. The table of all oracles is docs/guide/oracles.md.
+"""
+
+import numpy as np
+import pytest
+
+import trabecula as tb
+
+RNG = np.random.default_rng(23)
+SPACING = (2.5, 0.25, 0.5)
+GREY = tb.Image(RNG.integers(0, 60_000, (5, 6, 7)).astype(np.uint16), "grey", SPACING, "mm")
+PICTURE = tb.Image(RNG.integers(0, 256, (6, 7)).astype(np.uint8), "grey", (0.5, 0.25), "mm")
+COLOUR = tb.Image(RNG.integers(0, 256, (6, 7, 3)).astype(np.uint8), "colour")
+PART = tb.Image(np.pad(np.ones((4, 5, 6), np.uint8), 1), "labels", SPACING, "mm")
+AREA = 2 * (4 * 2.5 * 5 * 0.25 + 4 * 2.5 * 6 * 0.5 + 5 * 0.25 * 6 * 0.5)
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".mha", ".mhd", ".nrrd", ".nii", ".nii.gz"])
+def test_itk_reads_and_writes_volumes(suffix, tmp_path):
+    itk = pytest.importorskip("SimpleITK")
+    path = str(tb.write(GREY, tmp_path / f"x{suffix}"))
+    theirs = itk.ReadImage(path)
+    np.testing.assert_array_equal(itk.GetArrayFromImage(theirs), GREY.values)
+    if suffix != ".tif":  # ITK takes no spacing along z from a TIFF
+        assert theirs.GetSpacing() == pytest.approx(SPACING[::-1])
+    made = itk.GetImageFromArray(GREY.values)
+    made.SetSpacing(SPACING[::-1])
+    itk.WriteImage(made, str(tmp_path / f"y{suffix}"), useCompression=True)
+    ours = tb.read(tmp_path / f"y{suffix}", kind="grey")
+    np.testing.assert_array_equal(ours.values, GREY.values)
+    if suffix != ".tif":
+        assert ours.spacing == pytest.approx(SPACING)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".bmp", ".tif", ".jpg"])
+def test_itk_reads_and_writes_pictures(suffix, tmp_path):
+    itk = pytest.importorskip("SimpleITK")
+    close = {"atol": 16} if suffix == ".jpg" else {"atol": 0}
+    smooth = tb.Image(np.add.outer(np.arange(16), np.arange(24)).astype(np.uint8) * 4, "grey")
+    for image in (smooth, *((COLOUR,) if suffix != ".jpg" else ())):
+        theirs = itk.ReadImage(str(tb.write(image, tmp_path / f"x{suffix}")))
+        np.testing.assert_allclose(itk.GetArrayFromImage(theirs), image.values, **close)
+        made = itk.GetImageFromArray(image.values, isVector=image.kind == "colour")
+        itk.WriteImage(made, str(tmp_path / f"y{suffix}"))
+        ours = tb.read(tmp_path / f"y{suffix}", kind=image.kind)
+        np.testing.assert_allclose(ours.values, image.values, **close)
+
+
+def test_itk_reads_a_folder_of_slices(tmp_path):
+    itk = pytest.importorskip("SimpleITK")
+    tb.write(GREY, f"{tmp_path}/x/")
+    names = sorted(str(name) for name in (tmp_path / "x").glob("*.png"))
+    theirs = itk.GetArrayFromImage(itk.ReadImage(names))
+    np.testing.assert_array_equal(theirs, GREY.values)
+
+
+def test_pyvista_reads_and_writes_vti(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    theirs = pyvista.read(tb.write(GREY, tmp_path / "x.vti"))
+    assert theirs.spacing == pytest.approx(SPACING[::-1])
+    values = np.asarray(theirs.cell_data["grey"]).reshape(GREY.shape)
+    np.testing.assert_array_equal(values, GREY.values)
+    grid = pyvista.ImageData(dimensions=[side + 1 for side in GREY.shape[::-1]])
+    grid.spacing = SPACING[::-1]
+    grid.cell_data["grey"] = GREY.values.ravel()
+    grid.save(tmp_path / "y.vti")
+    ours = tb.read(tmp_path / "y.vti")
+    np.testing.assert_array_equal(ours.values, GREY.values)
+    assert ours.spacing == pytest.approx(SPACING)
+
+
+def test_ome_zarr_reads_a_store(tmp_path):
+    reader = pytest.importorskip("ome_zarr.reader")
+    location = pytest.importorskip("ome_zarr.io")
+    path = tb.write(GREY, tmp_path / "x.zarr")
+    (node, *_) = reader.Reader(location.parse_url(path))()
+    np.testing.assert_array_equal(np.asarray(node.data[0]), GREY.values)
+    assert [axis["name"] for axis in node.metadata["axes"]] == ["z", "y", "x"]
+    scale = node.metadata["coordinateTransformations"][0][0]["scale"]
+    assert scale == pytest.approx(SPACING)
+
+
+def test_tifffile_and_imageio_read_a_stack(tmp_path):
+    tifffile = pytest.importorskip("tifffile")
+    imageio = pytest.importorskip("imageio.v3")
+    path = tb.write(GREY, tmp_path / "x.tif")
+    np.testing.assert_array_equal(tifffile.imread(path), GREY.values)
+    np.testing.assert_array_equal(imageio.imread(path, plugin="pillow"), GREY.values)
+
+
+def test_numpy_reads_npy(tmp_path):
+    np.testing.assert_array_equal(np.load(tb.write(GREY, tmp_path / "x.npy")), GREY.values)
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj"])
+def test_meshio_reads_and_writes_surfaces(suffix, tmp_path):
+    meshio = pytest.importorskip("meshio")
+    theirs = meshio.read(tb.export(PART, tmp_path / f"x{suffix}"))
+    ours = tb.read_mesh(tmp_path / f"x{suffix}", unit="mm")
+    triangles = theirs.get_cells_type("triangle")
+    assert area(theirs.points, triangles) == pytest.approx(area(ours.vertices, ours.faces))
+    assert area(theirs.points, triangles) == pytest.approx(AREA, rel=0.15)  # corners are cut
+    meshio.write(tmp_path / f"y{suffix}", theirs)
+    back = tb.read_mesh(tmp_path / f"y{suffix}", unit="mm")
+    assert len(back.faces) == len(triangles)
+    assert area(back.vertices, back.faces) == pytest.approx(area(theirs.points, triangles))
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj"])
+def test_vtk_reads_surfaces(suffix, tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    theirs = pyvista.read(tb.export(PART, tmp_path / f"x{suffix}"))
+    assert theirs.area == pytest.approx(AREA, rel=0.15)
+    assert theirs.triangulate().clean().is_manifold
+
+
+def test_lib3mf_reads_a_part(tmp_path):
+    lib3mf = pytest.importorskip("lib3mf")
+    wrapper = lib3mf.get_wrapper()
+    model = wrapper.CreateModel()
+    reader = model.QueryReader("3mf")
+    reader.SetStrictModeActive(True)
+    reader.ReadFromFile(str(tb.export(PART, tmp_path / "x.3mf")))
+    assert reader.GetWarningCount() == 0
+    assert model.GetUnit() == lib3mf.ModelUnit.MilliMeter
+    meshes = model.GetMeshObjects()
+    assert meshes.MoveNext()
+    mesh = meshes.GetCurrentMeshObject()
+    ours = tb.read_mesh(tmp_path / "x.3mf")
+    assert mesh.GetTriangleCount() == len(ours.faces) and mesh.IsManifoldAndOriented()
+    points = np.array([vertex.Coordinates[:] for vertex in mesh.GetVertices()])
+    np.testing.assert_allclose(points, ours.vertices, atol=1e-5)
+
+
+def test_lib3mf_writes_a_part(tmp_path):
+    lib3mf = pytest.importorskip("lib3mf")
+    wrapper = lib3mf.get_wrapper()
+    source = wrapper.CreateModel()
+    source.QueryReader("3mf").ReadFromFile(str(tb.export(PART, tmp_path / "x.3mf")))
+    source.QueryWriter("3mf").WriteToFile(str(tmp_path / "y.3mf"))
+    ours, back = (tb.read_mesh(tmp_path / f"{name}.3mf") for name in "xy")
+    assert back.unit == "mm" and len(back.faces) == len(ours.faces)
+    np.testing.assert_allclose(back.vertices, ours.vertices, atol=1e-5)
+
+
+def area(points, triangles):
+    """Return the area of triangles."""
+    a, b, c = (np.asarray(points, float)[triangles[:, k]] for k in range(3))
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2

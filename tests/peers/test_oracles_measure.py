@@ -1,0 +1,291 @@
+"""Descriptors and solvers against other packages' code; each test is skipped by name where its
+package is not installed. The table of all oracles is docs/guide/oracles.md.
+"""
+
+import numpy as np
+import pytest
+from scipy import ndimage, signal, stats
+
+import trabecula as tb
+
+RNG = np.random.default_rng(17)
+
+
+def blobs(shape, width=2.0, share=0.5):
+    """Return a smooth random phase, which other packages and this one see alike."""
+    field = ndimage.gaussian_filter(RNG.normal(size=shape), width)
+    return (field > np.quantile(field, 1 - share)).astype(np.uint8)
+
+
+VOLUME = blobs((32, 28, 30))
+IMAGE = tb.Image(VOLUME, "labels", 2.0, "um")
+THREE = np.argmax([ndimage.gaussian_filter(RNG.normal(size=(30, 28, 26)), 2) for _ in range(3)], 0)
+THREE = tb.Image(THREE.astype(np.uint8), "labels", phases=("void", "a", "b"))
+GREY = tb.Image(ndimage.gaussian_filter(RNG.normal(size=(24, 26, 28)), 1.5), "grey")
+PICTURE = tb.Image(RNG.integers(0, 256, (40, 50)).astype(np.uint8), "grey")
+
+
+def pairs_along(first, second, axis, r_max):
+    """Return the share of pairs along an axis, by scipy's correlation of whole arrays."""
+    line = [1] * first.ndim
+    line[axis] = -1
+
+    def counts(a, b):
+        whole = signal.correlate(b, a, mode="full", method="fft")
+        middle = [side - 1 for side in a.shape]
+        where = [slice(at, at + 1) for at in middle]
+        where[axis] = slice(middle[axis], middle[axis] + r_max + 1)
+        return whole[tuple(where)].ravel()
+
+    ones = np.ones(first.shape)
+    return counts(first.astype(float), second.astype(float)) / counts(ones, ones)
+
+
+def test_fractions_are_porespys():
+    metrics = pytest.importorskip("porespy").metrics
+    assert tb.measure.porosity(IMAGE) == pytest.approx(metrics.porosity(VOLUME == 0), abs=1e-12)
+    shares = np.bincount(THREE.values.ravel()) / THREE.values.size
+    assert list(tb.measure.volume_fractions(THREE).values()) == pytest.approx(list(shares))
+    found = tb.measure.phase_numbers(THREE, level="quick")
+    assert [found[name]["fraction"] for name in THREE.phases] == pytest.approx(list(shares))
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_two_point_and_cross_correlation_are_scipys(axis):
+    expected = pairs_along(VOLUME, VOLUME, axis, 8)
+    np.testing.assert_allclose(tb.measure.two_point(IMAGE, r_max=8, axis=axis), expected, atol=1e-9)
+    first, second = THREE.values == 1, THREE.values == 2
+    both = (pairs_along(first, second, axis, 6) + pairs_along(second, first, axis, 6)) / 2
+    found = tb.measure.cross_correlation(THREE, first="a", second="b", r_max=6, axis=axis)
+    np.testing.assert_allclose(found, both, atol=1e-9)
+
+
+def test_radial_two_point_is_porespys():
+    metrics = pytest.importorskip("porespy").metrics
+    size = 48
+    periodic = ndimage.gaussian_filter(RNG.normal(size=(size,) * 3), 2, mode="wrap") > 0
+    theirs = metrics.two_point_correlation(periodic, voxel_size=1, bins=size // 2)
+    ours = tb.measure.two_point(periodic.astype(np.uint8), r_max=10, periodic=True)
+    inside = theirs.distance < 9
+    # Their bins and ours round distances apart from each other.
+    np.testing.assert_allclose(
+        np.interp(theirs.distance[inside], np.arange(11), ours),
+        theirs.probability[inside],
+        atol=0.03,
+    )
+
+
+def test_two_point_cluster_is_the_correlation_of_every_component():
+    labelled, count = ndimage.label(VOLUME)
+    for axis in range(3):
+        expected = sum(
+            pairs_along(labelled == one, labelled == one, axis, 5) for one in range(1, count + 1)
+        )
+        found = tb.measure.two_point_cluster(IMAGE, r_max=5)
+        assert len(found) == 6
+        if axis == 0:
+            total = np.zeros(6)
+        total += expected
+    # Radial curves mix axes and diagonals: at 0 and 1 voxel they are those of the axes.
+    np.testing.assert_allclose(found[:1], total[:1] / 3, atol=1e-9)
+    assert found[1] == pytest.approx(total[1] / 3, abs=2e-3)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_lineal_path_is_a_minimum_along_lines(axis):
+    expected = []
+    for length in range(6):
+        lines = np.lib.stride_tricks.sliding_window_view(VOLUME, length + 1, axis=axis)
+        expected.append(lines.min(axis=-1).mean())
+    found = tb.measure.lineal_path(IMAGE, r_max=5, axis=axis)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_surface_curvature_and_euler_are_quantimpys():
+    minkowski = pytest.importorskip("quantimpy.minkowski")
+    # With a margin of void all of it is the object's, and densities are numbers over the volume.
+    inside = np.pad(VOLUME, 2).astype(bool)
+    _, surface, curvature, euler = minkowski.functionals(inside)
+    image = tb.Image(inside.astype(np.uint8), "labels")
+    cubes = np.prod(np.array(inside.shape) - 1)
+    ours = tb.measure.minkowski(image)
+    assert ours.surface * cubes == pytest.approx(8 * surface, rel=0.03)
+    assert ours.mean_curvature * cubes == pytest.approx(2 * np.pi**2 * curvature, rel=0.1)
+    assert tb.measure.euler(image, connectivity=6) == pytest.approx(euler, abs=0.5) or (
+        tb.measure.euler(image, connectivity=26) == pytest.approx(euler, abs=0.5)
+    )
+
+
+@pytest.mark.parametrize(("ours", "theirs"), [(6, 1), (26, 3)])
+def test_euler_number_is_skimages(ours, theirs):
+    measure = pytest.importorskip("skimage.measure")
+    expected = measure.euler_number(VOLUME, connectivity=theirs)
+    assert tb.measure.euler(IMAGE, connectivity=ours) == expected
+    padded = np.pad(VOLUME, 1)
+    density = tb.measure.euler_density(padded, connectivity=ours)
+    assert density * np.prod(np.array(padded.shape) - 1) == pytest.approx(expected)
+
+
+def test_surface_of_a_sphere_is_skimages_mesh():
+    measure = pytest.importorskip("skimage.measure")
+    grid = np.indices((40, 40, 40)) - 19.5
+    distance = np.sqrt((grid**2).sum(axis=0))
+    vertices, faces, *_ = measure.marching_cubes(14 - distance, 0.0)
+    area = measure.mesh_surface_area(vertices, faces)
+    ball = (distance < 14).astype(np.uint8)
+    ours = tb.measure.specific_surface(ball) * 39**3
+    assert ours == pytest.approx(area, rel=0.02)
+
+
+def test_contacts_are_half_the_sum_of_quantimpys_surfaces():
+    minkowski = pytest.importorskip("quantimpy.minkowski")
+    values = np.pad(THREE.values, 2)
+    image = tb.Image(values, "labels", phases=THREE.phases)
+    area = [minkowski.functionals(values == phase)[1] * 8 for phase in range(3)]
+    # Void's own surface in a padded image is that of both solids together.
+    outer = minkowski.functionals(values > 0)[1] * 8
+    cubes = np.prod(np.array(values.shape) - 1)
+    expected = (area[1] + area[2] - outer) / 2
+    assert tb.measure.contact(image, first="a", second="b") * cubes == pytest.approx(
+        expected, rel=0.05
+    )
+
+
+def test_chords_are_those_that_ndimage_labels():
+    lengths = []
+    for axis in range(3):
+        along = np.zeros((3, 3, 3))
+        along[tuple(slice(None) if k == axis else 1 for k in range(3))] = 1
+        labelled, count = ndimage.label(VOLUME, along)
+        sizes = np.bincount(labelled.ravel())[1:]
+        edge = [labelled.take(0, axis), labelled.take(-1, axis)]
+        cut = len(np.unique(np.concatenate([face[face > 0] for face in edge])))
+        # A chord that a face cuts off has one end inside: it counts as half of one.
+        lengths.append(2 * sizes.sum() / (2 * count - cut))
+        ours = tb.measure.chord_length(IMAGE, axis=axis) / 2
+        side = VOLUME.shape[axis]
+        assert ours == pytest.approx(lengths[-1] * (side - 1) / side, rel=0.03)
+
+
+def test_thickness_is_porespys():
+    filters = pytest.importorskip("porespy").filters
+    solid = VOLUME.astype(bool)
+    theirs = 2 * filters.local_thickness(solid, sizes=60)[solid].mean()
+    # Their spheres end at voxel centres and have 60 sizes; ours reach the interface.
+    assert tb.measure.thickness(IMAGE) / 2 == pytest.approx(theirs, rel=0.12, abs=0.5)
+    pores = 2 * filters.local_thickness(~solid, sizes=60)[~solid].mean()
+    assert tb.measure.pore_size(IMAGE) / 2 == pytest.approx(pores, rel=0.12, abs=0.5)
+
+
+def test_components_are_skimages():
+    measure = pytest.importorskip("skimage.measure")
+    solid = blobs((26, 24, 28), 1.0, 0.3)
+    labelled, count = measure.label(solid, connectivity=1, return_num=True)
+    sizes = np.sort(np.bincount(labelled.ravel())[1:])
+    assert tb.measure.components(solid) == count
+    assert tb.measure.floating(solid) == count - 1
+    assert tb.measure.floating_voxels(solid) == sizes[:-1].sum()
+    assert tb.measure.largest_fraction(solid) == pytest.approx(sizes[-1] / sizes.sum())
+    for axis in range(3):
+        both = np.intersect1d(labelled.take(0, axis), labelled.take(-1, axis))
+        joined = np.isin(labelled, both[both > 0]).sum() / solid.sum()
+        assert tb.measure.percolates(solid)[axis] == bool(joined)
+        assert tb.measure.percolating_fraction(solid, axis=axis) == pytest.approx(joined)
+
+
+def test_percolation_is_porespys():
+    filters = pytest.importorskip("porespy").filters
+    pores = blobs((24, 24, 24), 1.5, 0.4).astype(bool)
+    for axis in range(3):
+        trimmed = filters.trim_nonpercolating_paths(
+            pores,
+            inlets=_face(pores.shape, axis, 0),
+            outlets=_face(pores.shape, axis, -1),
+        )
+        share = tb.measure.percolating_fraction(pores.astype(np.uint8), axis=axis)
+        assert share == pytest.approx(trimmed.sum() / pores.sum())
+
+
+def _face(shape, axis, index):
+    face = np.zeros(shape, bool)
+    face[tuple(index if k == axis else slice(None) for k in range(3))] = True
+    return face
+
+
+def test_grey_histograms_are_numpys_and_their_divergence_scipys():
+    counts, _ = np.histogram(PICTURE.values, bins=256, range=(0, 256))
+    np.testing.assert_allclose(tb.measure.histogram(PICTURE), counts / counts.sum())
+    edges = [*range(0, 226, 25), 256]
+    tens = np.histogram(PICTURE.values, bins=edges)[0] / PICTURE.values.size
+    np.testing.assert_allclose(tb.measure.ten_bins(PICTURE), tens)
+    p, q = RNG.random(64), RNG.random(64)
+    assert tb.measure.kullback_leibler(p, q, floor=0) == pytest.approx(stats.entropy(p, q))
+    found = tb.measure.describe_texture(PICTURE)
+    assert found["mean"] == pytest.approx(PICTURE.values.mean())
+    assert found["standard_deviation"] == pytest.approx(PICTURE.values.std())
+
+
+def test_autocorrelation_is_scipys():
+    field = GREY.values - GREY.values.mean()
+    for axis in range(3):
+        expected = pairs_along(field, field, axis, 6)
+        found = tb.measure.autocorrelation(GREY, lags=6)[axis]
+        np.testing.assert_allclose(found, expected / expected[0], atol=2e-3)
+
+
+def test_structure_tensor_is_skimages():
+    feature = pytest.importorskip("skimage.feature")
+    smooth = ndimage.gaussian_filter(GREY.values, 1.0, mode="nearest")
+    theirs = feature.structure_tensor(smooth, sigma=2.0, mode="nearest")
+    ours = tb.measure.structure_tensor(GREY, sigma=1.0, window=2.0)
+    middle = (slice(9, -9),) * 3
+    pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
+    ours = np.array([ours[pair][middle] for pair in pairs])
+    theirs = np.array([tensor[middle] for tensor in theirs])
+    # They take Sobel's slopes (in units of 8), we central differences of the same smooth field.
+    assert np.corrcoef(ours.ravel(), theirs.ravel())[0, 1] > 0.99
+
+
+def test_windows_are_means_of_ndimage():
+    found = tb.measure.evenness(IMAGE, windows=[16.0])
+    edge = round(found.fraction[0].edge / 2)
+    means = ndimage.uniform_filter(VOLUME.astype(float), edge, mode="constant")
+    low = edge // 2
+    inside = tuple(slice(low, low + (side - edge) // 2 * 2 + 1, 2) for side in VOLUME.shape)
+    windows = means[inside]
+    assert found.fraction[0].deviation == pytest.approx(windows.std(), rel=0.15)
+    assert found.fraction[0].lowest == pytest.approx(windows.min(), abs=0.03)
+    assert found.fraction[0].highest == pytest.approx(windows.max(), abs=0.03)
+    for axis, name in enumerate("zyx"):
+        profile = VOLUME.mean(axis=tuple(k for k in range(3) if k != axis))
+        places = np.linspace(-0.5, 0.5, len(profile))
+        slope = stats.linregress(places, profile).slope
+        assert found.trend[name] == pytest.approx(slope, abs=0.05)
+
+
+def test_mid_axis_is_near_skimages_skeleton():
+    morphology = pytest.importorskip("skimage.morphology")
+    solid = blobs((40, 40, 40), 3.0, 0.4)
+    skeleton = morphology.skeletonize(solid.astype(bool))
+    ours = tb.measure.thin(tb.Image(solid, "labels"))
+    ours = np.asarray(ours).astype(bool)
+    near = ndimage.distance_transform_edt(~skeleton)[ours]
+    assert near.mean() < 1.5
+
+
+def test_diffusivity_is_taufactors():
+    taufactor = pytest.importorskip("taufactor")
+    pytest.importorskip("torch")
+    pores = blobs((24, 24, 24), 2.5, 0.6)
+    solver = taufactor.Solver(pores, device="cpu")
+    solver.solve(verbose=False, conv_crit=1e-4)
+    tau = float(np.ravel(solver.tau)[0])
+    image = tb.Image(1 - pores, "labels")
+    # Both put one voxel's conductance between neighbours and fixed values on the end faces.
+    found = tb.measure.tortuosity(image, axis=0).value
+    assert found == pytest.approx(tau, rel=0.01)
+    share = float(np.ravel(solver.D_eff)[0])
+    assert tb.measure.diffusivity(image, axis=0).value == pytest.approx(share, rel=0.01)
+    weak = {"void": 1.0, "solid": 0.0}
+    found = tb.measure.conductivity(image, axis=0, conductivities=weak).value
+    assert found == pytest.approx(share, rel=0.01)
