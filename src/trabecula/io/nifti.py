@@ -87,7 +87,7 @@ def _check_extensions(path: Path, room: int) -> None:
     """
     import nibabel
 
-    with nibabel.openers.ImageOpener(path) as file:
+    with nibabel.openers.ImageOpener(str(path)) as file:
         start = file.read(544)
         form = nibabel.Nifti2Header if start[4:7] == b"n+2" else nibabel.Nifti1Header
         at = form.template_dtype.itemsize

@@ -27,9 +27,7 @@ SHAPE = (26, 14, 37)
 
 SEED = 5
 
-FORM = (
-    np.hypot.outer(np.arange(-13, 13), np.hypot.outer(np.arange(-7, 7), np.arange(-18, 19))) < 14
-)
+FORM = np.hypot.outer(np.arange(-13, 13), np.hypot.outer(np.arange(-7, 7), np.arange(-18, 19))) < 14
 """A ball of the shape, cut off."""
 
 VOXEL = (0.5, "mm")
