@@ -225,6 +225,17 @@ class ViewSet:
         score[:] = np.clip(total, -_MOST, _MOST)
 
 
+def batch_bytes(slice_views: Sequence[SliceView], features: np.ndarray, width: int) -> int:
+    """Return the bytes of a batch of sites while its densities are computed."""
+    views, around, (levels, channels) = len(slice_views), width**2 - 1, features.shape
+    each = levels * (24 * views + 24) + 11 * around
+    most = max(len(slice_view.candidates.centres) for slice_view in slice_views)
+    bits = slice_views[0].candidates.bits
+    if bits is not None:
+        return BATCH_OF_BITS * (each + 16 * len(bits)) + 2 * most
+    return BATCH_OF_PRODUCTS * (each + 4 * most + 4 * around * (channels + 1)) + 5 * most
+
+
 def log_prior(marginals: Sequence[np.ndarray], power: float) -> np.ndarray:
     """Return (views - 1) times the logarithm of the views' mean marginal, times `power`, in units
     (L,).
