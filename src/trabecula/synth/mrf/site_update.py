@@ -66,6 +66,7 @@ def class_stages(
     depth, *across = shape
     # of a class at most one site in every block of a plane
     sites = (depth, math.prod(max(1, side // (width // 2 + 1)) for side in across))
+    planes = -(-_FEW // sites[1])  # of a thread's cheap work
 
     def rows(dtype: Any, *more: int) -> Array:
         return Array((*sites, *more), dtype, at_most=True)
@@ -82,16 +83,21 @@ def class_stages(
     }
     batch = max(batch_bytes(slice_views, content.features, width) for slice_views in view_sets)
     stages = [
-        Stage("find sites", marked),
+        Stage("find sites", marked, planes=planes),
         Stage("score", {**scores, **found}, thread_count() * batch),
-        Stage("choose", {**scores, **found}, thread_count() * ROWS_AT_ONCE * (4 * levels + 4)),
+        Stage(
+            "choose",
+            {**scores, **found},
+            thread_count() * ROWS_AT_ONCE * (4 * levels + 4),
+            planes,
+        ),
     ]
     if config.shares and not at_once:
         energy = {"energy": rows(np.int64, groups)}
         stages += [
-            Stage("score groups", {**scores, **energy, **marked}),
-            Stage("shift groups", {**scores, **energy, "lead": rows(np.int64)}),
-            Stage("count levels", {**scores, **marked}),
+            Stage("score groups", {**scores, **energy, **marked}, planes=planes),
+            Stage("shift groups", {**scores, **energy, "lead": rows(np.int64)}, planes=planes),
+            Stage("count levels", {**scores, **marked}, planes=planes),
         ]
     return tuple(stages)
 
