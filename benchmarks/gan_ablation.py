@@ -107,9 +107,8 @@ def _costs(image: tb.Image) -> list[float]:
     import torch
 
     from trabecula.synth.gan.adversarial import AdversarialPair
-    from trabecula.synth.gan.data import exemplar_fields
     from trabecula.synth.gan.losses import CandidateTable
-    from trabecula.synth.gan.train import CHUNK, TABLE
+    from trabecula.synth.gan.train import CHUNK, TABLE, exemplar_fields
 
     configs = [GanConfig(**settings) for settings, _ in VARIANTS.values()]
     fields = exemplar_fields(image, configs[0])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mrf_lattice import empty_lattice
 
 import trabecula as tb
 from trabecula.core.seeds import generator
@@ -16,7 +17,6 @@ from trabecula.synth.mrf.density import STEPS
 from trabecula.synth.mrf.lattice import (
     SiteClasses,
     SiteLattice,
-    build_lattices,
     coarsen_any,
     coarsen_known,
     dilate_box,
@@ -168,7 +168,7 @@ def relaxation_of(image, shape, config, *, seed=1):
     """Return one scale of three views at its start, and its model."""
     model = tb.method("mrf", **config).fit(image)
     request = tb.Request(shape, seed=seed, periodic=True)
-    lattice = build_lattices(request, model.content, 1, model.config.neighbourhood)[0]
+    lattice = empty_lattice(model, request)
     slice_views = [
         SliceView(plane_across(axis), model.candidate_sets[0][0], 0) for axis in range(3)
     ]
@@ -298,12 +298,7 @@ def test_inherited_voxels_are_questioned_or_fixed(picture):
     kept = []
     for resynthesis in (True, False):
         model = tb.method("mrf", **config, resynthesis=resynthesis).fit(picture)
-        lattice = build_lattices(
-            tb.Request((12, 12, 12), seed=1, periodic=True),
-            model.content,
-            1,
-            model.config.neighbourhood,
-        )[0]
+        lattice = empty_lattice(model, tb.Request((12, 12, 12), seed=1, periodic=True))
         slice_views = [
             SliceView(plane_across(axis), model.candidate_sets[0][0], 0) for axis in range(3)
         ]
@@ -319,12 +314,7 @@ def test_upsampling_gives_one_of_eight_or_all(picture):
     coarse = np.random.default_rng(4).integers(0, 2, (6, 5, 4)).astype(np.uint8)
     for way in ("one", "all"):
         model = tb.method("mrf", upsampling=way).fit(picture)
-        lattice = build_lattices(
-            tb.Request((11, 10, 8), seed=1, periodic=True),
-            model.content,
-            1,
-            model.config.neighbourhood,
-        )[0]
+        lattice = empty_lattice(model, tb.Request((11, 10, 8), seed=1, periodic=True))
         slice_views = [
             SliceView(plane_across(axis), model.candidate_sets[0][0], 0) for axis in range(3)
         ]

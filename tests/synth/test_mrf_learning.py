@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mrf_lattice import empty_lattice
 
 import trabecula as tb
 from trabecula.measure.describe import autocorrelation_lines
@@ -23,7 +24,7 @@ from trabecula.synth.mrf.fraction_control import (
     level_shifts,
     score_leads,
 )
-from trabecula.synth.mrf.lattice import SiteClasses, SiteLattice, build_lattices
+from trabecula.synth.mrf.lattice import SiteClasses, SiteLattice
 from trabecula.synth.mrf.relaxation import start_relaxation
 from trabecula.synth.mrf.site_update import COLD, COLDEST, coldness, draw_levels
 from trabecula.synth.mrf.slice_planes import ViewPlane, oblique_planes, plane_across, union_offsets
@@ -58,7 +59,10 @@ def group_shifts(score, groups, wanted, *, coldness, start):
     energy = np.full((len(score), len(wanted)), -(1 << 40), np.int64)  # what has no level
     found = energies(score, groups, coldness)
     energy[:, : found.shape[1]] = found
-    return fraction_control.group_shifts(energy, np.asarray(wanted), coldness=coldness, start=start)
+    lead = np.empty(len(energy), np.int64)
+    return fraction_control.group_shifts(
+        energy, np.asarray(wanted), lead, coldness=coldness, start=start
+    )
 
 
 def softmax_shares(score, groups, shift, cold):
@@ -360,7 +364,7 @@ def test_strengths_go_to_a_finer_scale_at_twice_the_distance():
     )
     coarse.strength = np.random.default_rng(3).normal(size=coarse.strength.shape)
     levels = np.zeros((24, 24, 24), np.uint8)
-    fine.start(coarse, levels, np.ones(levels.shape, bool))
+    fine.start(coarse.strength, levels, np.ones(levels.shape, bool))
     known, found = coarse.strength.reshape(6, 5), fine.strength.reshape(6, 9)
     assert found[:, 2::2] == pytest.approx(known[:, 1:] / 2)
     between = (known[:, 1:4] + known[:, 2:5]) / 4
@@ -411,7 +415,7 @@ def test_oblique_planes_see_the_picture_from_behind_in_every_other_round():
         model = tb.method(
             "mrf", neighbourhood=3, scales=1, sweeps=8, polish=0, oblique=oblique
         ).fit(tb.Image(blobs(40), "labels"))
-        lattice = build_lattices(tb.Request(12), model.content, 1, 3)[0]
+        lattice = empty_lattice(model, tb.Request(12))
         relaxation = start_relaxation(
             lattice,
             None,
@@ -582,9 +586,7 @@ def test_strong_couplings_do_not_turn_everything_over_at_every_sweep(oblique):
     model = tb.method(
         "mrf", neighbourhood=3, scales=1, coupling=1e-6, feedback=0, reach=6, oblique=oblique
     ).fit(tb.Image(noise, "labels"))
-    lattice = build_lattices(tb.Request((18, 18, 18), seed=1, periodic=True), model.content, 1, 3)[
-        0
-    ]
+    lattice = empty_lattice(model, tb.Request((18, 18, 18), seed=1, periodic=True))
     couplings = model._start_couplings(0, lattice)
     couplings.strength = np.where(couplings._held, -0.5, 0.0)[None].reshape(
         couplings.strength.shape
@@ -630,6 +632,18 @@ def test_couplings_bring_the_autocorrelation_nearer_to_the_pictures():
         lines = autocorrelation_lines(result, lags=9)
         apart.append(np.sqrt(np.mean((np.mean(list(lines.values()), axis=0) - wanted) ** 2)))
     assert apart[1] < 0.5 * apart[0], apart
+
+
+def test_a_picture_with_a_large_plateau_is_made_with_its_shares():
+    """Check grey where one level is half of the picture: groups of levels beside it are empty."""
+    values = np.maximum(blobs(48).astype(np.float64) + np.linspace(-1, 1, 48), 0.6) * 100
+    picture = tb.Image(values.astype(np.uint8), "grey")
+    lowest = picture.values.min()
+    assert np.mean(picture.values == lowest) > 0.4
+    model = tb.method("mrf", sweeps=(2,), scales=2, neighbourhood=3, candidates=256).fit(picture)
+    assert len(np.unique(model.content.groups)) <= model.content.groups.max()
+    made = model.generate(16, seed=1).values
+    assert np.mean(made == lowest) == pytest.approx(np.mean(picture.values == lowest), abs=0.03)
 
 
 def test_levels_of_a_group_come_to_their_shares_class_by_class():

@@ -8,7 +8,7 @@ import pytest
 import trabecula as tb
 from commands import refused, trabecula
 from trabecula.measure import porosity
-from trabecula.synth.bubbles.presets import PRESETS
+from trabecula.synth.bubbles.config import PRESETS
 
 START = ("generate", "--method", "bubbles")
 

@@ -11,8 +11,7 @@ from scipy.integrate import solve_ivp
 
 from trabecula.errors import FileError, InputError, UnknownNameError
 from trabecula.synth.bubbles.flow import FlowConfig, flow_of
-from trabecula.synth.bubbles.flow.step import step_direction
-from trabecula.synth.bubbles.flow.systems import SYSTEMS
+from trabecula.synth.bubbles.flow.systems import SYSTEMS, step_direction
 
 SIDE = 41
 WHOLE = ((0, SIDE),) * 3

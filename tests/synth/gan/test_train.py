@@ -17,10 +17,10 @@ from trabecula.errors import InputError, MemoryBudgetError, TrainingError  # noq
 from trabecula.synth.gan import train  # noqa: E402
 from trabecula.synth.gan.adversarial import AdversarialPair  # noqa: E402
 from trabecula.synth.gan.config import PRESETS, GanConfig  # noqa: E402
-from trabecula.synth.gan.data import exemplar_fields  # noqa: E402
 from trabecula.synth.gan.evaluation import failure  # noqa: E402
 from trabecula.synth.gan.losses import CandidateTable  # noqa: E402
 from trabecula.synth.gan.networks import Subpixel  # noqa: E402
+from trabecula.synth.gan.train import exemplar_fields  # noqa: E402
 
 TINY = {"crop": 40, "batch": 2, "width": 2, "latent": 2, "minutes": 0.0, "looks": 1}
 

@@ -16,8 +16,7 @@ from trabecula.measure.correlation import two_point
 from trabecula.synth.noise import pattern
 from trabecula.synth.noise.config import COVARIANCES, KINDS, WALLED, NoiseConfig
 from trabecula.synth.noise.covariance import _NAMED
-from trabecula.synth.noise.lattice import CELL, VoxelGrid, grid_of, points_of
-from trabecula.synth.noise.periodic_domain import Domain
+from trabecula.synth.noise.lattice import CELL, Domain, VoxelGrid, grid_of, points_of
 
 SHAPE = (34, 30, 37)
 LATTICES = sorted(pattern.PATTERNS)

@@ -11,6 +11,7 @@ import numpy as np
 
 from trabecula.core.seeds import key
 from trabecula.engine.blocks import Box
+from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.synth.bubbles.flow import Flow
 from trabecula.synth.bubbles.growth_law import ABSORBED, PUSH, REPULSIONS, Law, counts_of
@@ -98,16 +99,27 @@ class Growth:
 
     def world(self, box: Box) -> tuple[Any, ...]:
         """Return the arrays that kernels read to grow a box (see `sweep`)."""
-        shifts, flow, node = self._nodes(box)
-        bubbles, lattice = self._bubbles(box)
-        starts, places, brakes, names = self._keep_in_room(*bubbles)
-        flows = self._start_flows(box, places) if len(flow) else np.empty((0, 3))
+        node, count = self._node_range(box)
+        low, points = self._point_range(box)
+        work, lattice, around = self._count_bubbles(
+            box, tuple(count), tuple(points) if self._flows else None
+        )
+        shifts, flow = self._nodes(work, node, count)
+        self._draw_bubbles(work, lattice, around)
+        flows = self._start_flows(work, low, points) if self._flows else np.empty((0, 3))
+        work.enter("grow")
+        places = work.adopt("exact places", work["kept places"] / FINE)
         nodes = (shifts, flow, np.concatenate([node, node]))
-        return nodes, (starts, places / FINE, brakes, flows, names), lattice, self.law.numbers()
+        bubbles = (work["kept starts"], places, work["kept brakes"], flows, work["kept names"])
+        return nodes, bubbles, lattice, self.law.numbers()
 
     @property
     def _flat(self) -> bool:
         return self.law.ndim == 2
+
+    @property
+    def _flows(self) -> bool:
+        return self.flow is not None and self.law.along < 1
 
     def _cubes(self, box: Box) -> tuple[np.ndarray, np.ndarray]:
         """Return the first of the cubes that cover a box, and their number along every axis."""
@@ -126,61 +138,85 @@ class Growth:
         turns = zip(self.periods, around, strict=True)
         return around, np.array([period / count if period else length for period, count in turns])
 
-    def _bubbles(self, box: Box) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-        """Return the bubbles in reach of a box, by cell, and the lattice of the cells."""
+    def _count_bubbles(
+        self, box: Box, nodes: tuple[int, ...], points: tuple[int, ...] | None
+    ) -> tuple[Workspace, tuple[np.ndarray, ...], np.ndarray]:
+        """Count the bubbles of the cells in reach of a box; return the arrays to draw them into,
+        the lattice of the cells, and the cells in a period.
+        """
         law = self.law
         around, edges = self._edges(law.apart)
-        near = np.ceil(law.apart / edges).astype(np.int64)
+        near = self._near(edges)
         first, sides = self._cubes(box)
         low = np.floor((first * CUBE - law.reach) / edges).astype(np.int64) - MARGIN * near
         high = (
             np.floor(((first + sides) * CUBE + law.reach) / edges).astype(np.int64) + MARGIN * near
         )
         mean = float(np.prod(edges[3 - law.ndim :] / law.apart))
-        laps = np.array(self.periods, np.int64) * FINE
         if self._flat:
-            low[0], high[0], around[0], edges[0] = 0, 0, 0, 0.0
-        cells, stage = high - low + 1, key(self.seed, "bubbles")
+            low[0], high[0], around[0] = 0, 0, 0
+        cells = high - low + 1
         starts = np.empty(int(np.prod(cells)) + 1, np.int64)
-        count_bubbles(starts, stage, low, cells, around, counts_of(mean, law.regularity))
-        many = int(starts[-1])
-        places = np.empty((many, 3), np.int64)
-        sizes = np.empty(many, np.int64)
-        names = np.empty(many, np.uint32)
-        draw_bubbles(places, sizes, names, starts, stage, low, cells, around, edges * FINE, laps)
-        places, brakes = self._relax(places, starts, cells, near), law.brakes[sizes]
-        alive = np.empty(many, bool)
-        fine = FINE * np.array([ABSORBED * law.apart, law.wall])
-        absorb(alive, places, brakes, starts, cells, near, *fine)
-        left = np.concatenate([np.zeros(1, np.int64), np.cumsum(alive)])
-        edges[0] = edges[0] or 1.0
-        return (left[starts], places[alive], brakes[alive], names[alive]), (low, cells, edges)
+        counts = counts_of(mean, law.regularity)
+        count_bubbles(starts, key(self.seed, "bubbles"), low, cells, around, counts)
+        sizes = BoxSizes(
+            nodes, len(starts) - 1, int(starts[-1]), points, room=self.flow is not None
+        )
+        work = Workspace(box_stages(law, sizes))
+        work.enter("draw")
+        work.adopt("starts", starts)
+        if self._flat:
+            edges[0] = 1.0
+        return work, (low, cells, edges), around
 
-    def _relax(
-        self, places: np.ndarray, starts: np.ndarray, cells: np.ndarray, near: np.ndarray
-    ) -> np.ndarray:
+    def _near(self, edges: np.ndarray) -> np.ndarray:
+        """Return the cells to the farthest that L reaches, along every axis."""
+        return np.ceil(self.law.apart / edges).astype(np.int64)
+
+    def _draw_bubbles(
+        self, work: Workspace, lattice: tuple[np.ndarray, ...], around: np.ndarray
+    ) -> None:
+        """Draw the bubbles in reach of a box, by cell; keep those that live on, and start in the
+        room.
+        """
+        law, (low, cells, edges), starts = self.law, lattice, work["starts"]
+        near, laps = self._near(edges), np.array(self.periods, np.int64) * FINE
+        places, sizes, names = work.empty("places"), work.empty("sizes"), work.empty("names")
+        stage, fine = key(self.seed, "bubbles"), edges * FINE
+        if self._flat:
+            fine[0] = 0.0  # bubbles of a picture lie in its plane
+        draw_bubbles(places, sizes, names, starts, stage, low, cells, around, fine, laps)
+        places = self._relax(work, cells, near)
+        brakes = work.adopt("brakes", law.brakes[sizes])
+        alive = work.empty("alive")
+        least, touch = FINE * ABSORBED * law.apart, FINE * law.wall
+        absorb(alive, places, brakes, starts, cells, near, least, touch)
+        self._keep_in_room(places, alive)
+        left = np.concatenate([np.zeros(1, np.int64), np.cumsum(alive)])
+        work.adopt("kept starts", left[starts])
+        work.adopt("kept places", places[alive])
+        work.adopt("kept brakes", brakes[alive])
+        work.adopt("kept names", names[alive])
+
+    def _relax(self, work: Workspace, cells: np.ndarray, near: np.ndarray) -> np.ndarray:
         """Return the places of the bubbles after repulsion."""
-        apart = FINE * self.law.apart
-        for _ in range(REPULSIONS if self.law.regularity else 0):
-            moved = np.empty_like(places)
-            repel(moved, places, starts, cells, near, apart, PUSH * apart * self.law.regularity)
-            places = moved
+        places, apart = work["places"], FINE * self.law.apart
+        if not self.law.regularity:
+            return places
+        moved, push = work.empty("moved"), PUSH * apart * self.law.regularity
+        for _ in range(REPULSIONS):
+            repel(moved, places, work["starts"], cells, near, apart, push)
+            places, moved = moved, places
         return places
 
-    def _keep_in_room(
-        self, starts: np.ndarray, places: np.ndarray, brakes: np.ndarray, names: np.ndarray
-    ) -> tuple[np.ndarray, ...]:
-        """Return the bubbles that start in the room."""
-        if self.flow is None:
-            return starts, places, brakes, names
-        if self.room(((0, 1),) * 3) is None:
-            return starts, places, brakes, names
+    def _keep_in_room(self, places: np.ndarray, alive: np.ndarray) -> None:
+        """Unmark the bubbles that do not start in the room."""
+        if self.flow is None or self.room(((0, 1),) * 3) is None:
+            return
         voxels = places // FINE
-        inside = ((voxels >= 0) & (voxels < np.array(self.shape))).all(1)
-        kept = np.zeros(len(places), bool)
-        kept[inside] = self._has_room(voxels[inside])
-        counts = np.concatenate([[0], np.cumsum(kept)])
-        return counts[starts], places[kept], brakes[kept], names[kept]
+        inside = np.all((voxels >= 0) & (voxels < np.array(self.shape)), axis=1)
+        inside[inside] = self._has_room(voxels[inside])
+        alive &= inside
 
     def _has_room(self, voxels: np.ndarray) -> np.ndarray:
         """Return whether voxels (N, 3) of the request lie in the room."""
@@ -206,35 +242,51 @@ class Growth:
         room = self.flow.room(box[1:] if self._flat else box)
         return room[None] if room is not None and self._flat else room
 
-    def _nodes(self, box: Box) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the shifts of the nodes of a box, the flow there, and the first node."""
+    def _node_range(self, box: Box) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first of the nodes of a box, and their number along every axis."""
         first, sides = self._cubes(box)
         node, count = SUPER * first, SUPER * sides + 1
         if self._flat:
             node[0], count[0] = 0, 1
-        shifts = self._shifts(node, count) if self.law.shift else np.empty((0, 0, 0, 3), np.float32)
-        flow = np.empty((0, 0, 0, 3), np.int8)
-        if self.flow is not None and self.law.along < 1:
-            flow = self._directions(self.flow, node, count, BLOCK)
-        return shifts, flow, node
+        return node, count
 
-    def _start_flows(self, box: Box, places: np.ndarray) -> np.ndarray:
-        """Return half of the flow where bubbles start, (N, 3).
+    def _nodes(
+        self, work: Workspace, node: np.ndarray, count: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the shifts of `count` nodes from `node` on, and the flow there."""
+        shifts, flow = np.empty((0, 0, 0, 3), np.float32), np.empty((0, 0, 0, 3), np.int8)
+        if self.law.shift:
+            shifts = work.empty("shifts")
+            self._set_shifts(shifts, node, count)
+        if self.flow is not None and self._flows:
+            flow = work.adopt("node flow", self._directions(self.flow, node, count, BLOCK))
+        return shifts, flow
 
-        It is that of the nearest point of a lattice that is fine beside L.
+    def _point_range(self, box: Box) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first of the points at which bubbles in reach of a box sample the flow, and
+        their number along every axis.
         """
-        assert self.flow is not None
         step = flow_step(self.law)
         first, sides = self._cubes(box)
         low = np.floor((first * CUBE - self.law.reach) / step).astype(np.int64)
         high = np.ceil(((first + sides) * CUBE + self.law.reach) / step).astype(np.int64)
         if self._flat:
             low[0], high[0] = 0, 0
-        flow = self._directions(self.flow, low, high - low + 1, step)
-        nearest = (places + FINE * step // 2) // (FINE * step) - low
+        return low, high - low + 1
+
+    def _start_flows(self, work: Workspace, low: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return half of the flow where bubbles start, (N, 3).
+
+        It is that of the nearest point of a lattice that is fine beside L.
+        """
+        assert self.flow is not None
+        step = flow_step(self.law)
+        work.enter("sample the flow")
+        flow = work.adopt("points", self._directions(self.flow, low, points, step))
+        nearest = (work["kept places"] + FINE * step // 2) // (FINE * step) - low
         # Bubbles out of reach do not matter.
-        nearest = np.clip(nearest, 0, high - low)
-        return np.asarray(flow[tuple(nearest.T)] * HALF)
+        nearest = np.clip(nearest, 0, points - 1)
+        return work.adopt("flows", flow[tuple(nearest.T)] * HALF)
 
     def _directions(self, flow: Flow, low: np.ndarray, count: np.ndarray, step: int) -> np.ndarray:
         """Return the flow at `count` points of the lattice of `step` voxels, from `low` on."""
@@ -246,8 +298,8 @@ class Growth:
         found = flow.directions(ends[1:], step=step)
         return np.ascontiguousarray(np.pad(found, [(0, 0), (0, 0), (1, 0)])[None])
 
-    def _shifts(self, node: np.ndarray, count: np.ndarray) -> np.ndarray:
-        """Return the shifts of `count` nodes from `node` on."""
+    def _set_shifts(self, shifts: np.ndarray, node: np.ndarray, count: np.ndarray) -> None:
+        """Set the shifts of `count` nodes from `node` on."""
         around, edges = self._edges(self.law.grain)
         low = np.floor(BLOCK * node / edges).astype(np.int64)
         high = np.floor(BLOCK * (node + count - 1) / edges).astype(np.int64) + 1
@@ -256,32 +308,88 @@ class Growth:
         scale = np.full(3, self.law.shift / 32767)
         if self._flat:
             scale[0] = 0.0
-        shifts = np.empty((*count, 3), np.float32)
         step = np.full(3, BLOCK, np.int64)
         rest = (BLOCK * node, step, vectors, low, edges, scale)
         for_slabs(lambda a, b: shift_nodes(shifts, a, b, *rest), len(shifts), least=1)
-        return shifts
 
 
-_DRAWN = 124  # bytes for each bubble during the draw
-_HELD = 60  # bytes for each bubble after it
 _SEARCH = 48  # bytes for each bubble in every thread, beside those of a block
 _FORMS = MOST * (64 + 3) * 4
-_LEAST = 200_000  # bytes of tables and the recipe
 
 
-def bytes_of_box(law: Law, shape: Sequence[int], *, flows: bool) -> int:
-    """Return the memory of growing a box (Z, Y, X).
+@dataclass(frozen=True)
+class BoxSizes:
+    """Sizes of the arrays that a box is grown from.
 
-    It holds the bubbles in reach, the nodes, and the search of every thread.
+    Attributes
+    ----------
+    nodes : three int
+    cells, bubbles : int
+        In reach of the box.
+    points : three int, or None
+        At which bubbles sample the flow; None without one.
+    room : bool
+        Whether bubbles outside of a room are left out.
     """
-    around = 2 * (law.reach + MARGIN * law.apart)
-    wide = [side for side in shape if law.ndim == 3] or list(shape[1:])
-    bubbles = math.prod((side + CUBE + around) / law.apart + 1 for side in wide)
-    nodes = math.prod((side + CUBE) / BLOCK + 1 for side in wide) if law.shift else 0.0
-    flow = 0.0
-    if flows:
-        flow = 2 * math.prod((side + CUBE + 2 * law.reach) / flow_step(law) + 3 for side in wide)
-        flow += math.prod((side + CUBE) / BLOCK + 1 for side in wide)
-    searched = (_HELD + 80 * flows) * bubbles + thread_count() * (_SEARCH * bubbles + _FORMS)
-    return int(max(_DRAWN * bubbles, searched) + 12 * nodes + 3 * flow) + _LEAST
+
+    nodes: tuple[int, ...]
+    cells: int
+    bubbles: int
+    points: tuple[int, ...] | None
+    room: bool
+
+
+def expected_sizes(law: Law, shape: Sequence[int], *, flows: bool, room: bool) -> BoxSizes:
+    """Return the sizes that a box (Z, Y, X) may have, wherever it lies; of bubbles those that are
+    expected.
+    """
+
+    def along(step: float, more: float, ends: int) -> list[float]:
+        """Return how many steps cover the box and `more` voxels of its surroundings."""
+        counts = [(side + CUBE + more) / step + ends for side in shape]
+        return counts if law.ndim == 3 else [1, *counts[1:]]
+
+    bubbles = int(math.prod(along(law.apart, 2 * (law.reach + MARGIN * law.apart), 1)))
+    nodes = tuple(map(int, along(BLOCK, 0, 1)))
+    points = tuple(map(int, along(flow_step(law), 2 * law.reach, 3)))
+    return BoxSizes(nodes, bubbles, bubbles, points if flows else None, room)
+
+
+def box_stages(law: Law, sizes: BoxSizes) -> tuple[Stage, ...]:
+    """Declare the arrays of growing a box beside its labels."""
+    many = sizes.bubbles
+
+    def each(dtype: Any, *more: int) -> Array:
+        return Array((many, *more), dtype, at_most=True)
+
+    place = each(np.int64, 3)
+    starts = Array(sizes.cells + 1, np.int64)
+    held = {
+        "shifts": Array((*sizes.nodes, 3), np.float32) if law.shift else None,
+        "node flow": Array((*sizes.nodes, 3), np.int8) if sizes.points else None,
+    }
+    drawn = {
+        "starts": starts,
+        "places": place,
+        "moved": place if law.regularity else None,
+        "sizes": each(np.int64),
+        "names": each(np.uint32),
+        "brakes": each(np.float64),
+        "alive": each(bool),
+    }
+    kept = {
+        "kept starts": starts,
+        "kept places": place,
+        "kept brakes": each(np.float64),
+        "kept names": each(np.uint32),
+    }
+    # sums of bubbles up to each; or the voxels that they start in
+    stages = [Stage("draw", {**held, **drawn, **kept}, (60 if sizes.room else 16) * many)]
+    flows = {}
+    if sizes.points:
+        flows = {"flows": each(np.float64, 3)}
+        points = {"points": Array((*sizes.points, 3), np.int8), "nearest": place}
+        stages.append(Stage("sample the flow", {**held, **kept, **flows, **points}, 48 * many))
+    exact = {"exact places": each(np.float64, 3)}
+    search = thread_count() * (_SEARCH * many + _FORMS)
+    return (*stages, Stage("grow", {**held, **kept, **flows, **exact}, search))

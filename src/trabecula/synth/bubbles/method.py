@@ -14,6 +14,7 @@ from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.target import porosity_of
 from trabecula.engine.blocks import Box, slices_of
+from trabecula.engine.memory import Array, Stage, forecast, within
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method, ModelState
 from trabecula.synth.api.windows import WindowModel
@@ -23,13 +24,14 @@ from trabecula.synth.bubbles.config import BubblesConfig
 from trabecula.synth.bubbles.fit_objective import bytes_of_search
 from trabecula.synth.bubbles.flow import flow_of
 from trabecula.synth.bubbles.flow.field import bytes_of_flow
-from trabecula.synth.bubbles.growth import Growth, bytes_of_box
+from trabecula.synth.bubbles.growth import Growth, box_stages, expected_sizes
 from trabecula.synth.bubbles.growth_law import Law, distance_of, law_of
 from trabecula.synth.bubbles.kernels import BLOCK
-from trabecula.synth.bubbles.particles import bytes_of_particles, grow_request
-from trabecula.synth.bubbles.porosity_level import Arrivals, arrivals_of, bytes_of_level
+from trabecula.synth.bubbles.particles import grow_request, particle_stages
+from trabecula.synth.bubbles.porosity_level import Arrivals, arrivals_of, level_stages
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
+_TABLES = 200_000  # bytes of tables and the recipe
 _LEAST = 8  # voxels along an axis of the exemplar
 
 
@@ -226,28 +228,38 @@ class BubblesModel(WindowModel):
         self._law(len(request.shape))
 
     def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
-        law = self._law(len(shape))
-        wanted = self._target_porosity(request)
         masked = request.mask is not None
         flows = self.found.randomness < 1 and self.found.has_direction(masked=masked)
-        box = bytes_of_box(law, _deep(shape, 1), flows=flows)
-        parts = {
+        fixed = {
             "interpreter and kernels": _PROCESS,
             "exemplar": self._exemplar_bytes(),
-            "bubbles": box,
+            "tables": _TABLES,
         }
         if flows or masked:
             spacing, length = self._lengths(len(shape))
-            parts["flow"] = bytes_of_flow(
+            fixed["flow"] = bytes_of_flow(
                 self.found, request.shape, spacing, masked=masked, distance=length, step=BLOCK
             )
+        return forecast(self._stages(request, shape, flows=flows), fixed).memory
+
+    def _stages(
+        self, request: Request, shape: tuple[int, ...], *, flows: bool
+    ) -> tuple[Stage, ...]:
+        """Declare the arrays of a box of a request beside its labels."""
+        law, masked = self._law(len(shape)), request.mask is not None
+        box = box_stages(law, expected_sizes(law, _deep(shape, 1), flows=flows, room=masked))
         if self.found.growth == "particles":
-            return {**parts, "rounds": bytes_of_particles(shape, flows=flows)}
-        kept, held = (
-            (0, 0) if wanted is None else bytes_of_level(law, _deep(request.shape, 1), flows=flows)
-        )
-        levels = 28 * math.prod(shape) if np.ndim(wanted) else 0
-        return {**parts, "level": max(kept + levels, held - box - math.prod(shape))}
+            return (*box, *particle_stages(shape, flows=flows))
+        wanted = self._target_porosity(request)
+        if wanted is None:
+            return box
+        level = level_stages(law, _deep(request.shape, 1), masked=masked, flows=flows)
+        held: dict[str, Array | None] = {"arrivals": level[0].arrays["arrivals"]}
+        if np.ndim(wanted):
+            held["levels"] = Array(_deep(shape, 1), np.float32)
+        # ranks of the porosity's field in 8 bytes, and 16 for the porosity
+        ranks = Stage("look up levels", held, 24 * math.prod(shape) * (np.ndim(wanted) > 0))
+        return (*level, ranks, *within(held, box))
 
     def _exemplar_bytes(self) -> int:
         return sum(image.values.nbytes for image in self.exemplars)

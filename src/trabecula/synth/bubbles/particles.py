@@ -26,6 +26,7 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.compile import inline, kernel
+from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.random import below, philox
 from trabecula.synth.bubbles.config import BubblesConfig
 from trabecula.synth.bubbles.growth import Growth
@@ -277,16 +278,18 @@ class _ParticleField:
         self.wraps = np.array((False,) * flat + tuple(periodic or (False,) * len(shape)))
         self.ball = _offsets(int(separation + 1), len(shape), separation + 1)
         self.steps = _offsets(1, len(shape), 2)
-        size = int(self.sides.prod())
-        self.allowed = np.ones(size, bool) if room is None else np.ascontiguousarray(room).ravel()
-        empty = np.zeros((0, len(shape)), np.int8)
-        self.directions = (
-            empty
-            if directions is None
-            else np.ascontiguousarray(directions).reshape(size, len(shape))
-        )
-        self.near, self.claim = np.full(size, FREE, np.int32), np.full(size, FREE, np.int32)
-        self.air = np.zeros(size, np.uint8)
+        work = Workspace(particle_stages(shape, flows=directions is not None))
+        work.enter("rounds")
+        if room is None:
+            self.allowed = work.full("allowed", True)
+        else:
+            self.allowed = work.adopt("allowed", np.ascontiguousarray(room).ravel())
+        self.directions = np.zeros((0, len(shape)), np.int8)
+        if directions is not None:
+            vectors = np.ascontiguousarray(directions).reshape(-1, len(shape))
+            self.directions = work.adopt("directions", vectors)
+        self.near, self.claim = work.full("near", FREE), work.full("claim", FREE)
+        self.air = work.zeros("air")
 
     def advance(
         self,
@@ -332,8 +335,20 @@ def _offsets(reach: int, axes: int, below: float) -> np.ndarray:
     return np.array([(0,) * (3 - axes) + step for step in steps], np.int64).reshape(-1, 3)
 
 
-_A_VOXEL = 110  # bytes a voxel: near, claim, the contours
-_A_DIRECTION = 10  # bytes more a voxel: the flow there, and its conversion to int8
+_CONTOURS = 100  # bytes a voxel of contours, and of the positions that they ask for
+
+
+def particle_stages(shape: tuple[int, ...], *, flows: bool) -> tuple[Stage, ...]:
+    """Declare the arrays of the rounds."""
+    voxels = math.prod(shape)
+    arrays = {
+        "allowed": Array(voxels, bool),
+        "near": Array(voxels, np.int32),
+        "claim": Array(voxels, np.int32),
+        "air": Array(voxels, np.uint8),
+        "directions": Array((voxels, len(shape)), np.int8) if flows else None,
+    }
+    return (Stage("rounds", arrays, _CONTOURS * voxels),)
 
 
 def grow_request(
@@ -370,8 +385,3 @@ def _starts(growth: Growth, shape: Sequence[int]) -> np.ndarray:
     voxels = np.floor(places).astype(np.int64)
     inside = ((voxels >= 0) & (voxels < deep)).all(1)
     return voxels[inside][:, 3 - len(shape) :]
-
-
-def bytes_of_particles(shape: Sequence[int], *, flows: bool) -> int:
-    """Return the memory of the rounds beside the air."""
-    return (_A_VOXEL + (_A_DIRECTION if flows else 0)) * math.prod(shape)

@@ -16,7 +16,8 @@ import numpy as np
 
 from trabecula.core.seeds import generator
 from trabecula.engine.blocks import Box, boxes_of
-from trabecula.synth.bubbles.growth import Growth, bytes_of_box
+from trabecula.engine.memory import Array, Stage, Workspace, within
+from trabecula.synth.bubbles.growth import Growth, box_stages, expected_sizes
 from trabecula.synth.bubbles.growth_law import Law
 from trabecula.synth.bubbles.kernels import BLOCK, SUPER
 
@@ -27,7 +28,6 @@ _FEWEST, _MOST = 1 << 16, 1 << 18  # blocks of a larger one
 _EACH = 8  # blocks for each bubble, between the two
 # voxels along an edge of a box of blocks, where all voxels are counted and where some are
 _PARTS = (64, 256)
-_A_VOXEL = 26  # bytes for each counted voxel during the count
 
 
 @dataclass(frozen=True)
@@ -61,48 +61,93 @@ class Arrivals:
 
 def arrivals_of(growth: Growth, shape: Sequence[int], mask: np.ndarray | None) -> Arrivals:
     """Return arrivals in a request (in its mask, less the crust), enough of them for any level."""
-    voxels, ndim = math.prod(shape), growth.law.ndim
-    wanted, picked, side = _sample_sizes(growth.law, shape)
+    work = Workspace(level_stages(growth.law, shape, masked=mask is not None))
+    work.enter("hold arrivals")
+    arrivals, count = work.empty("arrivals"), 0
     chance = generator(growth.seed, "bubbles/level")
-    found = []
-    for box in boxes_of(shape, side):
-        share = math.prod(stop - start for start, stop in box) / voxels
-        blocks = _scatter_blocks(box, max(1, round(wanted * share)), ndim, chance)
-        picks = _picks(len(blocks), picked, ndim, chance)
-        values = growth.sample(box, blocks, picks)
-        found.append(values[_count_mask(blocks, picks, box, growth, mask)])
-    values = np.concatenate(found)
+    for box, along in _divisions(growth.law, shape):
+        picked = _voxels_of_a_block(growth.law, shape)
+        blocks = _scatter_blocks(box, along, chance)
+        picks = _picks(len(blocks), picked, growth.law.ndim, chance)
+        work.enter("count a box")
+        count += _count_box(work, growth, box, blocks, picks, mask, arrivals[count:])
+        work.enter("hold arrivals")
+    values = arrivals[:count]
     values.sort()
     return Arrivals(values)
 
 
-def bytes_counted(law: Law, shape: Sequence[int]) -> tuple[int, int, int]:
-    """Return bytes of the arrivals, bytes of finding them, and the edge of a box of blocks."""
-    wanted, picked, side = _sample_sizes(law, shape)
-    voxels = math.prod(shape)
-    values = min(wanted * picked, voxels)
-    most = min(side, max(shape)) ** law.ndim
-    part = min(values, math.ceil(values * most / voxels))
-    return 4 * values, 4 * values + max(4 * values, _A_VOXEL * part), side
-
-
-def _sample_sizes(law: Law, shape: Sequence[int]) -> tuple[int, int, int]:
-    """Return the number of blocks, the voxels picked in each, and the edge of a box of blocks."""
-    voxels, whole = math.prod(shape), BLOCK**law.ndim
-    if voxels <= COUNTED:
-        return voxels, whole, _PARTS[0]  # more blocks than there are: all
-    bubbles = voxels / law.apart**law.ndim
-    return int(min(max(_EACH * bubbles, _FEWEST), _MOST)), 2**law.ndim, _PARTS[1]
-
-
-def _scatter_blocks(box: Box, wanted: int, ndim: int, chance: np.random.Generator) -> np.ndarray:
-    """Return blocks (N, 3) of a box: all, or one by chance in each part of a division.
-
-    The division is even, into about `wanted` parts.
+def _count_box(
+    work: Workspace,
+    growth: Growth,
+    box: Box,
+    blocks: np.ndarray,
+    picks: np.ndarray,
+    mask: np.ndarray | None,
+    into: np.ndarray,
+) -> int:
+    """Write T^2 of the voxels of a box that count to the beginning of an array; return their
+    number.
     """
+    values = work.adopt("sampled", growth.sample(box, blocks, picks))
+    found = work.adopt("found", values[_count_mask(blocks, picks, box, growth, mask)])
+    into[: len(found)] = found
+    return len(found)
+
+
+def level_stages(
+    law: Law, shape: Sequence[int], *, masked: bool, flows: bool = False
+) -> tuple[Stage, ...]:
+    """Declare the arrays of finding the arrivals in a request (Z, Y, X)."""
+    picked, divisions = _voxels_of_a_block(law, shape), _divisions(law, shape)
+    blocks = [math.prod(along) for _, along in divisions]
+    most, sides = max(blocks), [stop for _, stop in divisions[0][0]]
+    held = {"arrivals": Array(min(math.prod(shape), picked * sum(blocks)), np.float32)}
+    sampled = {
+        "blocks": Array((most, 3), np.int64),
+        "picks": Array((most, picked), np.uint8),
+        "sampled": Array((most, picked), np.float32, at_most=True),
+    }
+    counted = {
+        "found": sampled["sampled"],
+        "voxels": Array((most, picked, 3), np.int64),
+        "inside": Array((most, picked, 10), bool),
+    }
+    box = box_stages(law, expected_sizes(law, sides, flows=flows, room=masked))
+    return (
+        Stage("hold arrivals", held, 200 * most),  # blocks are drawn
+        *within({**held, **sampled}, box),
+        Stage("count a box", {**held, **sampled, **counted}, 48 * picked * most * masked),
+    )
+
+
+def _voxels_of_a_block(law: Law, shape: Sequence[int]) -> int:
+    """Return how many voxels of a block are counted."""
+    return BLOCK**law.ndim if math.prod(shape) <= COUNTED else 2**law.ndim
+
+
+def _divisions(law: Law, shape: Sequence[int]) -> list[tuple[Box, tuple[int, ...]]]:
+    """Return boxes that cover a request, and the even division of each into as many parts as
+    blocks of it are counted: all, or those of a larger request that lie scattered.
+    """
+    voxels = math.prod(shape)
+    if voxels <= COUNTED:
+        wanted, side = voxels, _PARTS[0]  # more blocks than there are: all
+    else:
+        bubbles = voxels / law.apart**law.ndim
+        wanted, side = int(min(max(_EACH * bubbles, _FEWEST), _MOST)), _PARTS[1]
+    found = []
+    for box in boxes_of(shape, side):
+        here = max(1, round(wanted * (math.prod(stop - start for start, stop in box) / voxels)))
+        sides = [-(-stop // BLOCK) - start // BLOCK for start, stop in box]
+        share = min(1.0, (here / math.prod(sides)) ** (1 / law.ndim))
+        found.append((box, tuple(max(1, round(blocks * share)) for blocks in sides)))
+    return found
+
+
+def _scatter_blocks(box: Box, along: Sequence[int], chance: np.random.Generator) -> np.ndarray:
+    """Return blocks (N, 3) of a box, one by chance in each part of its division."""
     ranges = [(start // BLOCK, -(-stop // BLOCK)) for start, stop in box]
-    share = min(1.0, (wanted / math.prod(stop - start for start, stop in ranges)) ** (1 / ndim))
-    along = [max(1, round((stop - start) * share)) for start, stop in ranges]
     parts = np.indices(along).reshape(3, -1).T
     sides = np.array([stop - start for start, stop in ranges])
     cuts = parts * sides // along
@@ -140,11 +185,3 @@ def _count_mask(
         if region is not None:
             count[count] = region[tuple((places[count] - corner).T)]
     return count
-
-
-def bytes_of_level(law: Law, shape: Sequence[int], *, flows: bool) -> tuple[int, int]:
-    """Return the bytes of the arrivals in a request, and the bytes of finding them."""
-    kept, held, part = bytes_counted(law, shape)
-    return kept, max(
-        held, kept + bytes_of_box(law, [min(part, side) for side in shape], flows=flows)
-    )

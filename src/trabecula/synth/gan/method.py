@@ -21,7 +21,7 @@ from trabecula.synth.api.method import Method, ModelState
 from trabecula.synth.api.windows import WindowModel
 from trabecula.synth.gan import CAPABILITIES
 from trabecula.synth.gan.config import GanConfig
-from trabecula.synth.gan.decode import CELLS, decode
+from trabecula.synth.gan.decode import CELLS, decode, make_tiles, margin_cells
 
 PROCESS = 470 << 20
 """Bytes of the interpreter with NumPy, Numba and torch loaded."""
@@ -121,8 +121,6 @@ class GanModel(WindowModel):
 
     def make_box(self, request: Request, box: Box) -> np.ndarray:
         network = self.network
-        from trabecula.synth.gan.window import make_tiles
-
         cell = self.config.cell
         periods = tuple(
             side // cell if wraps else 0
@@ -154,7 +152,6 @@ class GanModel(WindowModel):
     def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
         need("torch", extra="learn", purpose="method 'gan'")
         from trabecula.synth.gan.networks import inference_bytes
-        from trabecula.synth.gan.window import margin_cells
 
         weights = sum(array.nbytes for array in self.parts["generator"].values())
         cells = CELLS + margin_cells(self.specks)

@@ -33,7 +33,7 @@ _LEVEL_STEP = 1.0  # factors of two that a level's shift moves in a class, at mo
 
 
 def group_shifts(
-    energy: np.ndarray, wanted: np.ndarray, *, coldness: int, start: np.ndarray
+    energy: np.ndarray, wanted: np.ndarray, lead: np.ndarray, *, coldness: int, start: np.ndarray
 ) -> np.ndarray:
     """Return shifts (G,) int64 of the groups' scores, in units, the largest 0.
 
@@ -43,12 +43,14 @@ def group_shifts(
         Scores of the groups (`group_scores`) at the sites of a class, in units.
     wanted : (G,) float64
         Target shares of the class, sum 1.
+    lead : (S,) int64
+        Overwritten.
     coldness : int
         1 / temperature in whole 4096ths.
     start : (G,) int64
         The shifts of the class before.
     """
-    shift, lead = start.copy(), allocate_rows(len(energy))
+    shift = start.copy()
     first, rounds = (1, 1) if len(wanted) == 2 else (0, _ROUNDS)
     for _ in range(rounds):
         for group in range(first, len(wanted)):
@@ -94,7 +96,7 @@ def level_shifts(
         np.int64
     )
     moved = np.clip(shift + step, -_MOST, _MOST)
-    for group in range(int(groups.max()) + 1):  # the common shift of a group is the group's own
+    for group in np.unique(groups):  # the common shift of a group is the group's own
         moved[groups == group] -= int(np.median(moved[groups == group]))
     return moved
 
@@ -238,11 +240,18 @@ class FractionShifts:
         """
         if not site_class.count_in_result:
             return (self.by_group[self.groups] + self.by_level).astype(np.int32)
-        energy = self._group_energy(site_class, score, coldness)
+        work = site_class.work
+        work.enter("score groups")
+        self._score_groups(site_class, score, coldness)
+        work.enter("shift groups")
         self.by_group = group_shifts(
-            energy, self._wanted_groups, coldness=coldness, start=self.by_group
+            work["energy"],
+            self._wanted_groups,
+            work.adopt("lead", allocate_rows(site_class.count_in_result)),
+            coldness=coldness,
+            start=self.by_group,
         )
-        del energy
+        work.enter("count levels")
         shift = self.by_group[self.groups] + self.by_level
         if len(self._wanted_groups) < len(self.wanted):
             self.by_level = level_shifts(
@@ -255,11 +264,11 @@ class FractionShifts:
             )
         return shift.astype(np.int32)
 
-    def _group_energy(self, site_class: SiteClass, score: np.ndarray, coldness: int) -> np.ndarray:
+    def _score_groups(self, site_class: SiteClass, score: np.ndarray, coldness: int) -> None:
         """Compute scores (S', G) int64 of the groups at the sites in the result."""
         (rows, asked), in_result = site_class.starts, site_class.classes.lattice.in_result
         energy = site_class.allocate(
-            (site_class.count_in_result, len(self._wanted_groups)), np.int64
+            "energy", (site_class.count_in_result, len(self._wanted_groups)), np.int64
         )
 
         def work(first: int, last: int) -> None:
@@ -277,7 +286,6 @@ class FractionShifts:
             )
 
         site_class.run_on_planes(work)
-        return energy
 
     def _count_by_level(
         self, site_class: SiteClass, score: np.ndarray, shift: np.ndarray, coldness: int

@@ -4,6 +4,7 @@ classes of its sites that may change at once.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,11 +14,16 @@ import numpy as np
 from trabecula.core.request import Request
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
-from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.engine.memory import Array, Stage, Workspace
+from trabecula.engine.parallel import for_slabs, sum_slabs, thread_count
 from trabecula.synth.mrf.picture_levels import PictureLevels
 
 ALL = np.zeros((0, 0, 0), bool)
 """To a kernel: every voxel is marked."""
+
+# bytes a pixel of the plane that a thread works on: drawn at random, or of known voxels
+_DRAWN = 40
+_ENTERED = {"labels": 20, "grey": 20, "colour": 80}
 
 
 @dataclass
@@ -201,29 +207,88 @@ def result_scales(shape: Sequence[int], periodic: Sequence[bool], *, count: int,
     return count
 
 
+def lattice_stages(
+    request: Request, content: PictureLevels, *, count: int, width: int
+) -> tuple[Stage, ...]:
+    """Declare the output at `count` scales, finest 0: while it is built, while each scale is
+    relaxed, which begins with the coarser one, and while it becomes values.
+    """
+    masked, given = request.mask is not None, request.fixed is not None
+    shapes, boxes = (
+        [torus_shape(request.shape, request.periodic, count=count, width=width)],
+        [request.shape],
+    )
+    for _ in range(count):
+        shapes.append(half_shape(shapes[-1]))
+        boxes.append(half_shape(boxes[-1]))
+    levels = [Array(shape, np.uint8) for shape in shapes]
+    voxels = [Array(shape, bool) for shape in shapes]
+    pixels = thread_count() * math.prod(shapes[0][1:])
+    held: dict[str, Array | None] = {}
+    scales: list[Stage] = []
+    for n in range(count):
+        held |= {
+            f"levels {n}": levels[n],
+            f"domain {n}": voxels[n] if masked else None,
+            f"free {n}": voxels[n] if given else None,
+            f"form {n}": Array(boxes[n], bool) if masked and n else None,
+        }
+        coarser = {f"levels {n + 1}": levels[n + 1]} if n + 1 < count else {}
+        scales.append(Stage(f"relax {n}", {**held, **coarser}, _DRAWN * pixels))
+    known = {f"known {n}": voxels[n] for n in range(count) if given}
+    one = content.values[0]
+    values = Array((*request.shape, *one.shape), one.dtype, axis=-3 - one.ndim)
+    return (
+        Stage("build", {**held, **known}, _ENTERED[content.kind] * pixels),
+        *scales,
+        Stage("values", {"levels 0": levels[0], "values": values}, (12 + 2 * one.nbytes) * pixels),
+    )
+
+
 def build_lattices(
-    request: Request, content: PictureLevels, count: int, width: int
-) -> list[SiteLattice]:
-    """Build the output at `count` resolutions at most, finest first."""
-    count = result_scales(request.shape, request.periodic, count=count, width=width)
-    shape = torus_shape(request.shape, request.periodic, count=count, width=width)
-    box, form, known = request.shape, request.mask, None
-    levels, domain = memmap.zeros(shape, np.uint8), None
+    work: Workspace, request: Request, content: PictureLevels, *, count: int, width: int
+) -> None:
+    """Build the output at `count` scales in arrays of `lattice_stages`."""
+    work.enter("build")
+    levels, form = work.zeros("levels 0"), request.mask
+    domain: np.ndarray | None = None
+    known: np.ndarray | None = None
     if form is not None:
         # A little more than the form, so that its rim as well is known from all sides.
-        domain = dilate_box(form, shape, width // 2)
+        domain = work.adopt("domain 0", dilate_box(form, levels.shape, width // 2))
     if request.fixed is not None and request.known is not None:
-        known = _enter_known(request, content, levels, domain)
-    lattices = [SiteLattice(levels, _free_sites(domain, known), domain, box, form)]
-    while len(lattices) < count:
+        known = work.adopt("known 0", _enter_known(request, content, levels, domain))
+        work.adopt("free 0", _free_sites(domain, known))
+    for scale in range(1, count):
         if known is None:
-            levels = memmap.zeros(half_shape(levels.shape), np.uint8)
+            levels = work.zeros(f"levels {scale}")
         else:
             levels, known = coarsen_known(levels, known)
-        domain = None if domain is None else coarsen_any(domain)
-        box, form = half_shape(box), None if form is None else coarsen_any(form)
-        lattices.append(SiteLattice(levels, _free_sites(domain, known), domain, box, form))
-    return lattices
+            work.adopt(f"levels {scale}", levels)
+            work.adopt(f"known {scale}", known)
+        if domain is not None and form is not None:
+            domain = work.adopt(f"domain {scale}", coarsen_any(domain))
+            form = work.adopt(f"form {scale}", coarsen_any(form))
+        if known is not None:
+            work.adopt(f"free {scale}", _free_sites(domain, known))
+
+
+def lattice_at(work: Workspace, request: Request, scale: int) -> SiteLattice:
+    """Return the output at one scale."""
+    domain, free, form = (
+        work[name] if (name := f"{part} {scale}") in work else None
+        for part in ("domain", "free", "form")
+    )
+    box = request.shape
+    for _ in range(scale):
+        box = half_shape(box)
+    return SiteLattice(
+        work[f"levels {scale}"],
+        domain if free is None else free,
+        domain,
+        box,
+        form if scale else request.mask,
+    )
 
 
 def _enter_known(
@@ -250,10 +315,8 @@ def _enter_known(
     return known
 
 
-def _free_sites(domain: np.ndarray | None, known: np.ndarray | None) -> np.ndarray | None:
+def _free_sites(domain: np.ndarray | None, known: np.ndarray) -> np.ndarray:
     """Mark the voxels of the domain that are not known."""
-    if known is None:
-        return domain
     free = memmap.empty(known.shape, bool)
 
     def work(first: int, last: int) -> None:

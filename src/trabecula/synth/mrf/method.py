@@ -14,7 +14,6 @@ coarse to fine.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,9 +24,9 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.core.target import porosity_of
-from trabecula.engine import memmap
 from trabecula.engine.checkpoint import Checkpoint, resume
-from trabecula.engine.parallel import for_slabs, thread_count
+from trabecula.engine.memory import Stage, Workspace, forecast, resident, within
+from trabecula.engine.parallel import for_slabs
 from trabecula.exemplar.views import View, is_isotropic, spacing_of
 from trabecula.synth.mrf import CAPABILITIES
 from trabecula.synth.mrf.candidates import (
@@ -41,23 +40,24 @@ from trabecula.synth.mrf.candidates import (
 )
 from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.density import STEPS
-from trabecula.synth.mrf.lattice import SiteLattice, build_lattices, result_scales, torus_shape
-from trabecula.synth.mrf.picture_levels import PictureLevels, largest_feature, number_levels
-from trabecula.synth.mrf.relaxation import start_relaxation
-from trabecula.synth.mrf.site_update import ROWS_AT_ONCE
-from trabecula.synth.mrf.slice_planes import (
-    BATCH_OF_BITS,
-    BATCH_OF_PRODUCTS,
-    SliceView,
-    oblique_planes,
-    plane_across,
+from trabecula.synth.mrf.lattice import (
+    SiteLattice,
+    build_lattices,
+    lattice_at,
+    lattice_stages,
+    result_scales,
+    torus_shape,
 )
-from trabecula.synth.mrf.statistics_feedback import PairCouplings
+from trabecula.synth.mrf.picture_levels import PictureLevels, largest_feature, number_levels
+from trabecula.synth.mrf.relaxation import relaxation_stages, start_relaxation
+from trabecula.synth.mrf.slice_planes import SliceView, oblique_planes, plane_across
+from trabecula.synth.mrf.statistics_feedback import PairCouplings, coupled_pairs
 from trabecula.synth.shared.content.fields import isotropic_scale
 from trabecula.synth.shared.pictures import PictureMethod, PictureModel
 from trabecula.synth.shared.statistics.pairs import Pairs
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
+_SMALL = 200_000  # bytes of what depends neither on the picture nor on the request
 
 # axes of an oblique plane whose steps are diagonals: (rows, columns)
 _DIAGONAL = ((False, True), (True, True))
@@ -235,46 +235,69 @@ class MrfModel(PictureModel):
             if porosity is None
             else [self._candidates_at(scale, porosity) for scale in range(self.count)]
         )
-        lattices = build_lattices(request, self.content, self.count, self.config.neighbourhood)
-        top = len(lattices) - 1
-        learned: PairCouplings | None = None
+        count, width = self._scale_count(request), self.config.neighbourhood
+        work = Workspace(lattice_stages(request, self.content, count=count, width=width))
+        build_lattices(work, request, self.content, count=count, width=width)
         report: list[dict[str, Any]] = []
-        begin, state = self._find_checkpoint(top)
+        strength: np.ndarray | None = None
+        begin, state = self._find_checkpoint(count - 1)
         wanted = self._target_shares(porosity)
         for scale in range(begin, -1, -1):
-            coarse = lattices[scale + 1].levels if scale < top else None
-            couplings = self._start_couplings(scale, lattices[scale])
-            relaxation = start_relaxation(
-                lattices[scale],
-                coarse,
-                self._view_sets(candidate_sets[scale]),
-                self.content,
-                self.config,
+            work.enter(f"relax {scale}")
+            report, strength = self._relax(
+                lattice_at(work, request, scale),
+                None if scale == count - 1 else work[f"levels {scale + 1}"],
+                candidate_sets[scale],
+                wanted,
                 seed=request.seed,
                 scale=scale,
-                wanted=wanted,
-                couplings=couplings,
+                before=(report, strength),
+                state=state,
             )
-            del coarse, lattices[scale + 1 :]
-            if couplings is not None and state is None:
-                couplings.start(learned, lattices[scale].levels, lattices[scale].domain)
-            learned = couplings
-            report = relaxation.run(report, state)
             state = None
-            del relaxation, couplings
-        del learned
-        return self._to_values(lattices[0].levels, request), {
-            "scales": report,
-            "oblique": self.oblique,
-        }
+        work.enter("values")
+        self._fill_values(work.empty("values"), work["levels 0"], request)
+        return work.take("values"), {"scales": report, "oblique": self.oblique}
 
-    def _to_values(self, levels: np.ndarray, request: Request) -> np.ndarray:
+    def _relax(
+        self,
+        lattice: SiteLattice,
+        coarse: np.ndarray | None,
+        candidate_sets: Sequence[ParzenCandidates],
+        wanted: np.ndarray,
+        *,
+        seed: int,
+        scale: int,
+        before: tuple[list[dict[str, Any]], np.ndarray | None],
+        state: Checkpoint | None,
+    ) -> tuple[list[dict[str, Any]], np.ndarray | None]:
+        """Relax one scale; return the report so far and the strength of the couplings, as they were
+        `before` from the coarser scale.
+        """
+        couplings = self._start_couplings(scale, lattice)
+        relaxation = start_relaxation(
+            lattice,
+            coarse,
+            self._view_sets(candidate_sets),
+            self.content,
+            self.config,
+            seed=seed,
+            scale=scale,
+            wanted=wanted,
+            couplings=couplings,
+        )
+        report, strength = before
+        if couplings is not None and state is None:
+            couplings.start(strength, lattice.levels, lattice.domain)
+        report = relaxation.run(report, state)
+        return report, None if couplings is None else couplings.strength
+
+    def _fill_values(self, values: np.ndarray, levels: np.ndarray, request: Request) -> None:
         """Convert levels to values; known voxels keep their values, and outside a form the value is
         `empty`.
         """
         table, word = self.content.values, key(request.seed, "mrf/values")
         depth, height, width = request.shape
-        values = memmap.empty((*request.shape, *table.shape[1:]), table.dtype)
 
         def work(first: int, last: int) -> None:
             for z in range(first, last):  # an index of the whole would take 8 bytes a voxel
@@ -289,7 +312,6 @@ class MrfModel(PictureModel):
                     values[z][known] = request.fixed.values[z][known]
 
         for_slabs(work, depth)
-        return values
 
     def _find_checkpoint(self, top: int) -> tuple[int, Checkpoint | None]:
         """Return the scale at which an interrupted run resumes and its checkpoint, or the coarsest
@@ -302,42 +324,66 @@ class MrfModel(PictureModel):
         return top, None
 
     def memory(self, request: Request) -> Mapping[str, int]:
-        run = self._run_memory(request)
-        return {**self._constant_bytes(request), "output": run.output, "scratch": run.scratch}
+        return forecast(self._stages(request), self._constant_bytes(request)).memory
 
     def resident_memory(self, request: Request) -> Mapping[str, int]:
-        return {**self._constant_bytes(request), "slab": self._run_memory(request).slab}
+        return resident(self._stages(request), self._constant_bytes(request))
+
+    def _scale_count(self, request: Request) -> int:
+        """Count the scales that a result has room for."""
+        width = self.config.neighbourhood
+        return result_scales(request.shape, request.periodic, count=self.count, width=width)
+
+    def _stages(self, request: Request) -> tuple[Stage, ...]:
+        """Declare all arrays of a request: those of all scales, and beside them of the relaxation
+        of each.
+        """
+        count, masked = self._scale_count(request), request.mask is not None
+        width, stages = self.config.neighbourhood, []
+        for stage in lattice_stages(request, self.content, count=count, width=width):
+            stages.append(stage)
+            word, _, number = stage.name.partition(" ")
+            if word == "relax":
+                views = self._view_sets(self.candidate_sets[int(number)])
+                shape = stage.arrays[f"levels {number}"].shape
+                pairs = self._pairs(int(number), shape)
+                relaxation = relaxation_stages(
+                    shape, views, self.content, self.config, masked=masked, pairs=pairs
+                )
+                stages += within(stage.arrays, relaxation)
+        return tuple(stages)
+
+    def _pairs(self, scale: int, shape: tuple[int, ...]) -> Pairs | None:
+        """Return the coupled pairs of a scale; None without couplings."""
+        if not self.config.setting_for("coupling", self.content.sort):
+            return None
+        stride = 2**scale
+        sides = [side for learner in self.learners for side in self.content.pictures[learner].shape]
+        return coupled_pairs(
+            shape,
+            edges=isotropic_scale(spacing_of(self.views)),
+            reach=self.config.reach // stride,
+            shortest=-(-min(sides) // stride),
+        )
 
     def _constant_bytes(self, request: Request) -> dict[str, int]:
-        """Return the bytes that do not depend on the shape."""
-        kept = candidate_bytes(
-            [candidates for scale in self.candidate_sets for candidates in scale]
-        )
-        memory = {"interpreter and kernels": _PROCESS, "exemplar": kept}
+        """Return the bytes that all stages hold beside their arrays."""
+        candidates = [one for scale in self.candidate_sets for one in scale]
+        count, width = self._scale_count(request), self.config.neighbourhood
+        shape = torus_shape(request.shape, request.periodic, count=count, width=width)
+        pairs, levels = self._pairs(0, shape), len(self.content.values)
+        blurs = 8 * (4 if self.oblique else 1) * len(self.views) * levels**2
+        memory = {
+            "interpreter and kernels": _PROCESS,
+            "exemplar": candidate_bytes(candidates),
+            # bins of offsets, and their weights
+            "tables": blurs + _SMALL + (0 if pairs is None else pairs.table_bytes * 3 // 2),
+        }
         if request.target:  # the pictures are learned anew
             memory["learning"] = learning_bytes(
                 self.exemplars, self.count, self.config, oblique=self.oblique
             )[1]
         return memory
-
-    def _run_memory(self, request: Request) -> RunMemory:
-        """Return the memory of a request."""
-        config, width = self.config, self.config.neighbourhood
-        count = result_scales(request.shape, request.periodic, count=self.count, width=width)
-        shape = torus_shape(request.shape, request.periodic, count=count, width=width)
-        kept = [candidates for scale in self.candidate_sets for candidates in scale]
-        pairs = self._pairs(shape)
-        return RunMemory(
-            request, shape, self.content, kept, len(self.views), pairs, config, thread_count()
-        )
-
-    def _pairs(self, shape: tuple[int, ...]) -> Pairs | None:
-        """Return the pairs of a lattice that can be coupled; None without couplings."""
-        if not self.config.setting_for("coupling", self.content.sort):
-            return None
-        shortest = min(min(picture.shape) for picture in self.content.pictures)
-        far = max(1, min(max(self.config.reach, 4), shortest // 2 - 1, min(shape) // 2 - 1))
-        return Pairs(shape, far, (True, True, True), isotropic_scale(spacing_of(self.views)))
 
 
 def _uses_oblique(config: MrfConfig, images: Sequence[Image], *, three: bool) -> bool:
@@ -345,127 +391,3 @@ def _uses_oblique(config: MrfConfig, images: Sequence[Image], *, three: bool) ->
     if config.oblique is not None:
         return config.oblique
     return len(images) == 1 and three and config.relaxation == "gibbs" and is_isotropic(images[0])
-
-
-_SMALL = 100_000  # bytes of what does not depend on the picture
-_OF_A_SITE = 42  # bytes a site while sites in the result are marked
-
-_OF_A_PLANE = 40  # bytes a pixel of what starts a scale plane by plane
-
-
-@dataclass(frozen=True)
-class RunMemory:
-    """Memory of a run, from shapes and settings alone; the factors were measured.
-
-    `shape` is that of the finest lattice, `pairs` the coupled pairs (None: none), `threads` the
-    number of threads.
-    """
-
-    request: Request
-    shape: tuple[int, ...]
-    content: PictureLevels
-    candidate_sets: Sequence[ParzenCandidates]
-    views: int
-    pairs: Pairs | None
-    config: MrfConfig
-    threads: int
-
-    @property
-    def scratch(self) -> int:
-        """Return the bytes of batches of sites in all threads."""
-        content = self.content
-        around, (levels, channels) = self.config.neighbourhood**2 - 1, content.features.shape
-        shares = levels * (24 * self.views + 24) + around * 11
-        words = [
-            len(candidates.bits)
-            for candidates in self.candidate_sets
-            if candidates.bits is not None
-        ]
-        if words:
-            return self.threads * BATCH_OF_BITS * (shares + 16 * max(words))
-        widest = max(len(candidates.centres) for candidates in self.candidate_sets)
-        return self.threads * (
-            BATCH_OF_PRODUCTS * (shares + 4 * widest + 4 * around * (channels + 1)) + 5 * widest
-        )
-
-    @property
-    def output(self) -> int:
-        """Return the bytes of the lattices of all scales and of the largest array beside them; the
-        scratch memory of sites comes on top.
-        """
-        beside = (
-            *self._site_bytes(),
-            self._coupling_bytes() - self.scratch,
-            self._value_bytes() - self.scratch,
-        )
-        return self._lattice_bytes() + max(0, *beside)
-
-    @property
-    def slab(self) -> int:
-        """Return the bytes of the thinnest slabs where arrays as large as the result are
-        memory-mapped.
-        """
-        _, height, width = self.shape
-        levels, each = len(self.content.values), self.content.values[0].nbytes
-        sites = _OF_A_SITE * height * width // (self.config.neighbourhood // 2 + 1) ** 2
-        plane = (_OF_A_PLANE + 2 * each) * height * width
-        if self.request.known is not None and self.content.kind == "colour":
-            plane += 80 * height * width + 40 * levels * ROWS_AT_ONCE
-        most = self.threads * max(plane, sites + ROWS_AT_ONCE * 4 * levels)
-        if self.pairs is not None:
-            most = max(most, self.pairs.slab_bytes + self.pairs.lines_bytes)
-        return self.scratch + self._table_bytes + 2 * _SMALL + most
-
-    @property
-    def _voxels(self) -> int:
-        """Count the voxels of the finest lattice."""
-        return int(np.prod(self.shape, dtype=np.int64))
-
-    @property
-    def _table_bytes(self) -> int:
-        """Return the bytes of the pair tables: bins of offsets, and for a while their weights."""
-        return 0 if self.pairs is None else self.pairs.table_bytes * 3 // 2
-
-    def _lattice_bytes(self) -> int:
-        """Return the bytes held from the first sweep to the last, coarser scales included."""
-        levels, channels = self.content.features.shape
-        marks = (self.request.mask is not None) + (self.request.known is not None)
-        each = (1 + marks) * 8 / 7 + 5 * (self.config.relaxation == "icm")
-        if self.pairs is not None:
-            each += 9 / 8 * 2 * channels
-        return (
-            round(self._voxels * each)
-            + 8 * 4 * self.views * levels**2
-            + self._table_bytes
-            + 2 * _SMALL
-        )
-
-    def _site_bytes(self) -> tuple[int, int]:
-        """Return the bytes of a class of sites with their scores, and of the groups' scores less
-        the earlier scratch memory.
-        """
-        levels, channels = self.content.features.shape
-        groups = int(self.content.groups.max()) + 1
-        sites = self._voxels // (self.config.neighbourhood // 2 + 1) ** 2
-        rows = 4 * levels + self.views * channels * (
-            self.config.setting_for("feedback", self.content.sort) > 0
-        )
-        return (8 + rows) * sites, self.config.shares * (
-            rows + 8 * groups + _OF_A_SITE
-        ) * sites - self.scratch
-
-    def _coupling_bytes(self) -> int:
-        """Return the bytes of the transforms of a field."""
-        if self.pairs is None:
-            return 0
-        return (
-            2 * self.pairs.spectrum_bytes
-            + self.pairs.kernel_bytes
-            + 4 * self._voxels
-            + self.pairs.slab_bytes
-        )
-
-    def _value_bytes(self) -> int:
-        """Return the bytes of the result's values."""
-        each = self.content.values[0].nbytes
-        return each * int(np.prod(self.request.shape, dtype=np.int64))

@@ -17,9 +17,9 @@ import numpy as np
 
 from trabecula.core.progress import track
 from trabecula.core.seeds import generator, key
-from trabecula.engine import memmap
 from trabecula.engine.checkpoint import Checkpoint, due, offer
 from trabecula.engine.compile import kernel
+from trabecula.engine.memory import Array, Stage, Workspace, within
 from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.fraction_control import FractionShifts
@@ -36,18 +36,43 @@ from trabecula.synth.mrf.site_update import (
     SweepStep,
     SweepTally,
     choose_levels,
+    class_stages,
     coldness,
     count_local,
     row_slices,
     score_class,
 )
 from trabecula.synth.mrf.slice_planes import SliceView, ViewSet, gather_places, union_offsets
-from trabecula.synth.mrf.statistics_feedback import BiasFeedback, PairCouplings
+from trabecula.synth.mrf.statistics_feedback import BiasFeedback, PairCouplings, coupling_stages
+from trabecula.synth.shared.statistics.pairs import Pairs
 
 T = TypeVar("T")
 
 # With one update a sweep, voxels at large distances flip together at every sweep.
 _PARTS = 4  # of a sweep; before each the field of the couplings is updated
+
+
+def relaxation_stages(
+    shape: Sequence[int],
+    view_sets: Sequence[Sequence[SliceView]],
+    content: PictureLevels,
+    config: MrfConfig,
+    *,
+    masked: bool,
+    pairs: Pairs | None,
+) -> tuple[Stage, ...]:
+    """Declare the arrays of the relaxation of a lattice beside the lattice; `masked` says whether
+    the result has a form, `pairs` are those that are coupled.
+    """
+    held: dict[str, Array] = {}
+    if config.relaxation == "icm":
+        held = {"temperature": Array(shape, np.float32), "held": Array(shape, bool)}
+    classes = class_stages(shape, view_sets, content, config, masked=masked)
+    if pairs is None:
+        return within(held, classes)
+    coupled = coupling_stages(pairs, content.features.shape[1])
+    field = {"field": coupled[-1].arrays["field"]}
+    return (*within({**held, **field}, classes), *within(held, coupled))
 
 
 @dataclass
@@ -63,6 +88,8 @@ class Relaxation:
     couplings : PairCouplings, optional
     temperature, held : (Z, Y, X) float32, bool
         Of equation 8, and where it must not change; empty unless the relaxation is "icm".
+    work : Workspace
+        The arrays of a class of sites (`class_stages`).
     """
 
     lattice: SiteLattice
@@ -73,11 +100,26 @@ class Relaxation:
     scale: int
     wanted: np.ndarray
     couplings: PairCouplings | None = None
-    temperature: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0), np.float32))
-    held: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0), bool))
+    temperature: np.ndarray = field(init=False)
+    held: np.ndarray = field(init=False)
+    work: Workspace = field(init=False)
 
     def __post_init__(self) -> None:
         config = self.config
+        self.work = Workspace(
+            relaxation_stages(
+                self.lattice.shape,
+                self.view_sets,
+                self.content,
+                config,
+                masked=self.lattice.form is not None,
+                pairs=None,
+            )
+        )
+        self.work.enter("find sites")
+        self.temperature, self.held = np.zeros((0, 0, 0), np.float32), ALL
+        if config.relaxation == "icm":
+            self.temperature, self.held = self.work.zeros("temperature"), self.work.zeros("held")
         self._feedback = config.setting_for("feedback", self.content.sort)
         self._view_sets = [
             ViewSet(
@@ -152,9 +194,12 @@ class Relaxation:
         for number, place in enumerate(order):
             if self.couplings is not None and number and number % part == 0:
                 self.couplings.update_field(self.lattice.levels, self.lattice.domain)
-            site_class = SiteClass(view_set.classes, names[place], self.temperature, held)
+            site_class = SiteClass(
+                view_set.classes, names[place], self.temperature, held, self.work
+            )
             if site_class.count:
                 tally += self._update_class(site_class, view_set, step)
+            self.work.enter("find sites")
         if self._feedback:
             self.bias_feedback.learn(tally.tables)
         return tally.changed
@@ -179,6 +224,7 @@ class Relaxation:
             heat = step.heat if step.rule == "gibbs" else 1.0  # proposals use the density itself
             cooled = COLDEST if cold else coldness(heat)
             shift = self.shifts.update(site_class, found.score, cooled)
+        self.work.enter("choose")
         return site_class.sum_on_planes(
             lambda first, last: self._update_planes(
                 site_class, found, shift, view_set, step, first, last
@@ -282,8 +328,9 @@ class Relaxation:
         }
 
     def _restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """Restore the arrays of a checkpoint."""
-        self.lattice.levels, self.temperature = arrays["levels"], arrays["temperature"]
+        """Restore the arrays of a checkpoint; take out the large ones."""
+        _copy(arrays.pop("levels"), self.lattice.levels)
+        _copy(arrays.pop("temperature"), self.temperature)
         self.shifts.by_group, self.shifts.by_level = arrays["shift"], arrays["fine"]
         self.bias_feedback.restore(arrays)
         if self.couplings is not None:
@@ -348,8 +395,8 @@ def start_relaxation(
         lattice, view_sets, content, config, seed, scale, _free_shares(lattice, wanted), couplings
     )
     if config.relaxation == "icm":
-        relaxation.temperature, relaxation.held = _initial_temperatures(
-            lattice, inherits=coarse is not None
+        _set_temperatures(
+            lattice, relaxation.temperature, relaxation.held, inherits=coarse is not None
         )
     return relaxation
 
@@ -410,11 +457,12 @@ def _set_free(lattice: SiteLattice, part: Any, found: np.ndarray) -> None:
     )
 
 
-def _initial_temperatures(lattice: SiteLattice, *, inherits: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the temperatures at the start, 1 or 0, and which voxels `inherits` gave a 0: the first
-    of every eight.
+def _set_temperatures(
+    lattice: SiteLattice, temperature: np.ndarray, held: np.ndarray, *, inherits: bool
+) -> None:
+    """Set the temperatures at the start, 1 or 0, and mark the voxels that `inherits` gave a 0: the
+    first of every eight.
     """
-    temperature, held = memmap.zeros(lattice.shape, np.float32), memmap.zeros(lattice.shape, bool)
 
     def work(first: int, last: int) -> None:
         for z in range(first, last):
@@ -424,4 +472,12 @@ def _initial_temperatures(lattice: SiteLattice, *, inherits: bool) -> tuple[np.n
             temperature[z] = free & ~held[z]
 
     for_slabs(work, lattice.shape[0])
-    return temperature, held
+
+
+def _copy(kept: np.ndarray, into: np.ndarray) -> None:
+    """Copy an array of a checkpoint into one of the run."""
+
+    def copy(first: int, last: int) -> None:
+        into[first:last] = kept[first:last]
+
+    for_slabs(copy, len(into))

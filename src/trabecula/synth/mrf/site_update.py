@@ -19,11 +19,20 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
-from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.engine.memory import Array, Stage, Workspace
+from trabecula.engine.parallel import for_slabs, sum_slabs, thread_count
 from trabecula.engine.random import below, philox
+from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.density import POWERS, UNIT, power_of
 from trabecula.synth.mrf.lattice import ClassName, SiteClasses
-from trabecula.synth.mrf.slice_planes import ViewSet, best_level, level_of_views
+from trabecula.synth.mrf.picture_levels import PictureLevels
+from trabecula.synth.mrf.slice_planes import (
+    SliceView,
+    ViewSet,
+    batch_bytes,
+    best_level,
+    level_of_views,
+)
 from trabecula.synth.mrf.statistics_feedback import BiasTables, PairCouplings, count_cells
 
 T = TypeVar("T")
@@ -41,19 +50,72 @@ _ENOUGH = 256
 """Sites that are worth a thread where each needs a density."""
 
 
+def class_stages(
+    shape: Sequence[int],
+    view_sets: Sequence[Sequence[SliceView]],
+    content: PictureLevels,
+    config: MrfConfig,
+    *,
+    masked: bool,
+) -> tuple[Stage, ...]:
+    """Declare the arrays of a class of sites of a lattice, one row a site; `masked` says whether
+    the result has a form.
+    """
+    width, views = config.neighbourhood, len(view_sets[0])
+    (levels, channels), groups = content.features.shape, int(content.groups.max()) + 1
+    depth, *across = shape
+    # of a class at most one site in every block of a plane
+    sites = (depth, math.prod(max(1, side // (width // 2 + 1)) for side in across))
+    planes = -(-_FEW // sites[1])  # of a thread's cheap work
+
+    def rows(dtype: Any, *more: int) -> Array:
+        return Array((*sites, *more), dtype, at_most=True)
+
+    at_once = config.heuristic in ("h1a", "h1b")
+    found = {"sites": rows(np.int64)}
+    marked = {**found, "coordinates": rows(np.int64, 8 if masked else 5)}
+    scores = {
+        "score": None if at_once else rows(np.int32, levels),
+        "chosen": rows(np.uint8) if at_once else None,
+        "cells": rows(np.uint8, views * channels)
+        if config.setting_for("feedback", content.sort)
+        else None,
+    }
+    batch = max(batch_bytes(slice_views, content.features, width) for slice_views in view_sets)
+    stages = [
+        Stage("find sites", marked, planes=planes),
+        Stage("score", {**scores, **found}, thread_count() * batch),
+        Stage(
+            "choose",
+            {**scores, **found},
+            thread_count() * ROWS_AT_ONCE * (4 * levels + 4),
+            planes,
+        ),
+    ]
+    if config.shares and not at_once:
+        energy = {"energy": rows(np.int64, groups)}
+        stages += [
+            Stage("score groups", {**scores, **energy, **marked}, planes=planes),
+            Stage("shift groups", {**scores, **energy, "lead": rows(np.int64)}, planes=planes),
+            Stage("count levels", {**scores, **marked}, planes=planes),
+        ]
+    return tuple(stages)
+
+
 @dataclass
 class SiteClass:
     """Sites of a class that a sweep visits, plane by plane. They are found anew wherever they are
     needed, since their places would take more memory than their levels.
 
     `temperature` (Z, Y, X) float32, `held` bool: only sites that are warm or held are visited;
-    without entries all are.
+    without entries all are. `work` has the arrays of `class_stages`.
     """
 
     classes: SiteClasses
     name: ClassName
     temperature: np.ndarray
     held: np.ndarray
+    work: Workspace
 
     def sites(self, first: int, last: int) -> np.ndarray:
         """Return flat places in the planes first .. last, rising."""
@@ -108,12 +170,16 @@ class SiteClass:
         """Return whether threads are not worth their start."""
         return self.count < _FEW and self.classes.lattice.levels.size <= _MANY
 
-    def allocate(self, shape: Sequence[int], dtype: Any) -> np.ndarray:
+    def allocate(self, name: str, shape: Sequence[int], dtype: Any) -> np.ndarray:
         """Allocate an array of rows for sites, for `run_expensive` to write; in memory where it is
         small, since every visit allocates some.
         """
-        small = self._are_few and math.prod(shape) * np.dtype(dtype).itemsize < _SMALL
-        return np.empty(tuple(shape), dtype) if small else memmap.empty(shape, dtype, least=0)
+        size = math.prod(shape) * np.dtype(dtype).itemsize
+        if not size or (self._are_few and size < _SMALL):
+            rows = np.empty(tuple(shape), dtype)
+        else:
+            rows = memmap.empty(shape, dtype, least=0)
+        return self.work.adopt(name, rows) if size else rows
 
     def run_on_planes(self, work: Callable[[int, int], object]) -> None:
         """Run cheap work on planes of sites."""
@@ -238,10 +304,15 @@ def score_class(
     """
     at_once = heuristic in ("h1a", "h1b")
     features, starts = view_set.content.features, site_class.starts[0]
-    score = site_class.allocate((0 if at_once else site_class.count, len(features)), np.int32)
-    chosen = site_class.allocate((site_class.count if at_once else 0,), np.uint8)
+    site_class.work.enter("score")
+    score = site_class.allocate(
+        "score", (0 if at_once else site_class.count, len(features)), np.int32
+    )
+    chosen = site_class.allocate("chosen", (site_class.count if at_once else 0,), np.uint8)
     cells = site_class.allocate(
-        (len(view_set.slice_views), site_class.count if bias else 0, features.shape[1]), np.uint8
+        "cells",
+        (len(view_set.slice_views), site_class.count if bias else 0, features.shape[1]),
+        np.uint8,
     )
 
     def work(first: int, last: int) -> None:

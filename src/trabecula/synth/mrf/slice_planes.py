@@ -180,36 +180,57 @@ class ViewSet:
         mirrored : bool
             Whether the pictures are seen from behind.
         """
-        features = self.content.features
-        bins = np.empty((len(sites), len(self.slice_views), len(features)), np.int64)
-        for v, slice_view in enumerate(self.slice_views):
-            offsets = self._offsets[v][int(mirrored)]
-            places = np.empty((len(sites), len(offsets)), np.int64)
-            found, weight = np.empty(places.shape, np.uint8), np.empty(places.shape, np.uint8)
-            gather_places(
-                sites, offsets, self._lattice.shape, marks_or_all(self._lattice.domain), places
-            )
-            gather_levels(places, self._lattice.levels, found, weight)
-            if bias:
-                sums = np.empty((len(sites), features.shape[1]), np.int32)
-                local_sums(found, weight, features, sums)
-                local_cells(sums, slice_view.candidates.joint.edges, cells[v])
-                add_bias(cells[v], bias[slice_view.learner], self.content.groups, pulled)
-            if temperature.size:
-                gather_confidence(places, temperature, STEPS, weight)
-            weigh_candidates(
-                found,
-                weight,
-                STEPS if temperature.size else 1,
-                slice_view.candidates,
-                features,
-                v,
-                bins,
-                scratch,
+        levels = len(self.content.features)
+        bins = np.empty((len(sites), len(self.slice_views), levels), np.int64)
+        for v in range(len(self.slice_views)):
+            self._weigh_view(
+                v, sites, scratch, temperature, pulled, bias, cells, bins, mirrored=mirrored
             )
         share, log = np.empty(bins.shape, np.float64), np.empty(bins.shape, np.int64)
         parzen_densities(bins, self._blur, LOGS, share, log)
         return log
+
+    def _weigh_view(
+        self,
+        v: int,
+        sites: np.ndarray,
+        scratch: np.ndarray,
+        temperature: np.ndarray,
+        pulled: np.ndarray,
+        bias: BiasTables,
+        cells: np.ndarray,
+        bins: np.ndarray,
+        *,
+        mirrored: bool,
+    ) -> None:
+        """Sum the weights of a view's candidates into `bins` (S, V, L) int64, [:, v]; the rest is
+        as in `log_densities`.
+        """
+        slice_view, features = self.slice_views[v], self.content.features
+        offsets = self._offsets[v][int(mirrored)]
+        places = np.empty((len(sites), len(offsets)), np.int64)
+        found, weight = np.empty(places.shape, np.uint8), np.empty(places.shape, np.uint8)
+        gather_places(
+            sites, offsets, self._lattice.shape, marks_or_all(self._lattice.domain), places
+        )
+        gather_levels(places, self._lattice.levels, found, weight)
+        if bias:
+            sums = np.empty((len(sites), features.shape[1]), np.int32)
+            local_sums(found, weight, features, sums)
+            local_cells(sums, slice_view.candidates.joint.edges, cells[v])
+            add_bias(cells[v], bias[slice_view.learner], self.content.groups, pulled)
+        if temperature.size:
+            gather_confidence(places, temperature, STEPS, weight)
+        weigh_candidates(
+            found,
+            weight,
+            STEPS if temperature.size else 1,
+            slice_view.candidates,
+            features,
+            v,
+            bins,
+            scratch,
+        )
 
     def combine(
         self, log: np.ndarray, pulled: np.ndarray, heuristic: str, score: np.ndarray
@@ -223,6 +244,17 @@ class ViewSet:
         else:
             product_of_views(log, self._prior, pulled, total)
         score[:] = np.clip(total, -_MOST, _MOST)
+
+
+def batch_bytes(slice_views: Sequence[SliceView], features: np.ndarray, width: int) -> int:
+    """Return the bytes of a batch of sites while its densities are computed."""
+    views, around, (levels, channels) = len(slice_views), width**2 - 1, features.shape
+    each = levels * (24 * views + 24) + 11 * around
+    most = max(len(slice_view.candidates.centres) for slice_view in slice_views)
+    bits = slice_views[0].candidates.bits
+    if bits is not None:
+        return BATCH_OF_BITS * (each + 16 * len(bits)) + 2 * most
+    return BATCH_OF_PRODUCTS * (each + 4 * most + 4 * around * (channels + 1)) + 5 * most
 
 
 def log_prior(marginals: Sequence[np.ndarray], power: float) -> np.ndarray:

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
+from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.parallel import for_slabs
 from trabecula.synth.mrf.density import UNIT
 from trabecula.synth.shared.statistics.pairs import Pairs, Planes
@@ -190,6 +190,36 @@ _GRAIN = 1 << 10  # steps of a field in a factor of two: the last bits of a tran
 Pictures = Sequence[tuple[int, np.ndarray]]
 
 
+def coupled_pairs(
+    shape: Sequence[int], *, edges: Sequence[float], reach: int, shortest: int
+) -> Pairs:
+    """Return the pairs of a lattice that are coupled: up to `reach`, or what half of the lattice
+    and of the `shortest` side of a picture leave.
+    """
+    far = max(1, min(max(reach, _LEAST), shortest // 2 - 1, min(shape) // 2 - 1))
+    return Pairs(tuple(shape), far, (True, True, True), tuple(edges), cones=CONES)
+
+
+def coupling_stages(pairs: Pairs, channels: int) -> tuple[Stage, ...]:
+    """Declare the arrays of the couplings of such pairs."""
+    depth, height, width = pairs.shape
+    half = (height, width // 2 + 1)
+    spectrum = Array((depth, *half), np.complex64)
+    reached = Array((pairs.reach[0] + 1, *half), np.complex64)
+    held = {"field": Array((channels, *pairs.shape), np.int16)}
+    inverse = {"kernel": reached, "product": spectrum, "pull": Array(pairs.shape, np.float32)}
+    return (
+        Stage("measure pairs", {}, 6 * pairs.table_bytes),
+        Stage("hold the field", held),
+        Stage(
+            "compare pairs",
+            {**held, "spectrum": spectrum, "lines": reached},
+            pairs.slab_bytes + 4 * pairs.table_bytes,
+        ),
+        Stage("update the field", {**held, "spectrum": spectrum, **inverse}, pairs.slab_bytes),
+    )
+
+
 class PairCouplings:
     """The couplings of one scale, on a torus.
 
@@ -227,16 +257,19 @@ class PairCouplings:
         rate: float,
     ) -> None:
         shortest = min(min(picture.shape) for _, picture in pictures)
-        far = max(1, min(max(reach, _LEAST), shortest // 2 - 1, min(shape) // 2 - 1))
         self._values = _standardise(pictures, features)
         self._rate, self._edges = rate, tuple(edges)
-        self._pairs = Pairs(tuple(shape), far, (True, True, True), self._edges, cones=CONES)
+        self._pairs = coupled_pairs(shape, edges=edges, reach=reach, shortest=shortest)
+        self._work = Workspace(coupling_stages(self._pairs, features.shape[1]))
+        self._work.enter("measure pairs")
         self._wanted, held = self._targets(pictures)
+        far = self._pairs.r_max
         r = np.arange(self._pairs.bins) % (far + 1)
         self._held = held & (self._pairs.fits > 0) & (r >= min(_NEAR, far))
         self.strength = np.zeros_like(self._wanted)
         self.misfit = 0.0
-        self._field = memmap.zeros((features.shape[1], *shape), np.int16)
+        self._work.enter("hold the field")
+        self._work.zeros("field")
 
     def _targets(self, pictures: Pictures) -> tuple[np.ndarray, np.ndarray]:
         """Measure the pictures' autocorrelation (C, bins), and mark the bins that they hold."""
@@ -254,14 +287,14 @@ class PairCouplings:
         return sums / np.maximum(fits, 1), fits > 0
 
     def start(
-        self, coarse: PairCouplings | None, levels: np.ndarray, domain: np.ndarray | None = None
+        self, coarse: np.ndarray | None, levels: np.ndarray, domain: np.ndarray | None = None
     ) -> None:
-        """Take over the strengths of a coarser scale, whose voxels are twice as long, before the
-        first sweep.
+        """Take over the strengths of a coarser scale (None: there is none), whose voxels are twice
+        as long, before the first sweep.
         """
         if coarse is not None:
             count, bins = len(self.strength), self._pairs.r_max + 1
-            known = coarse.strength.reshape(count, 3 * CONES, -1)
+            known = coarse.reshape(count, 3 * CONES, -1)
             at = np.arange(bins) / 2
             finer = [
                 [np.interp(at, np.arange(known.shape[2]), row) / 2 for row in channel]
@@ -277,31 +310,43 @@ class PairCouplings:
         apart = np.zeros_like(self.strength)
         both = self._pair_shares(domain)
         for c in range(len(apart)):
-            spectrum = self._pairs.forward(self._channel_planes(levels, domain, c))
-            now = self._pairs.curve(spectrum, spectrum) / both
+            now = self._curve(self._channel_planes(levels, domain, c)) / both
             apart[c] = np.where(self._held, self._wanted[c] - now / max(float(now[0]), 1e-6), 0.0)
-            if len(apart) > 1:
-                del spectrum  # before the next is made
         self.misfit = (
             float(np.sqrt(np.mean(apart[:, self._held] ** 2))) if self._held.any() else 0.0
         )
         self.strength = self.strength + self._rate * apart
-        if len(apart) == 1:
-            self._update_channel(0, spectrum)
+        if len(apart) == 1:  # its transform is still there
+            self._update_channel(0)
+            self._work.enter("hold the field")
         else:
             self.update_field(levels, domain)
 
     def update_field(self, levels: np.ndarray, domain: np.ndarray | None = None) -> None:
         """Compute the field of the couplings at every site, given all others."""
         for c in range(len(self.strength)):
-            self._update_channel(c, self._pairs.forward(self._channel_planes(levels, domain, c)))
+            self._transform(self._channel_planes(levels, domain, c))
+            self._update_channel(c)
+        self._work.enter("hold the field")
 
-    def _update_channel(self, channel: int, spectrum: np.ndarray) -> None:
+    def _transform(self, planes: Planes) -> np.ndarray:
+        """Transform values in place of those before."""
+        self._work.enter("hold the field")
+        self._work.enter("compare pairs")
+        return self._work.adopt("spectrum", self._pairs.forward(planes))
+
+    def _curve(self, planes: Planes) -> np.ndarray:
+        """Return the mean product of values over the pairs of each bin, (bins,)."""
+        spectrum = self._transform(planes)
+        return self._pairs.curve(spectrum, spectrum)
+
+    def _update_channel(self, channel: int) -> None:
         """Compute the field of a channel from the transform of its values."""
+        self._work.enter("update the field")
         # The strength of a bin is that of the mean over its offsets.
-        into = self._field[channel]
+        into = self._work["field"][channel]
         each = self.strength[channel] * into.size / np.maximum(self._pairs.fits, 1)
-        found = self._pairs.convolve(spectrum, each)
+        found = self._work.adopt("pull", self._pairs.convolve(self._work["spectrum"], each))
 
         def work(first: int, last: int) -> None:
             for z in range(first, last):
@@ -314,7 +359,7 @@ class PairCouplings:
         """Add the energy of pairs of every level at the sites to `out` (S, L) int64, in units."""
         own = np.rint(self._values.astype(np.float64) * _GRAIN).astype(np.int64)
         for c in range(own.shape[1]):
-            field = self._field[c].reshape(-1)[sites, None].astype(np.int64)
+            field = self._work["field"][c].reshape(-1)[sites, None].astype(np.int64)
             out += field * own[:, c] // (_GRAIN * _GRAIN // UNIT)
 
     def _pair_shares(self, domain: np.ndarray | None) -> np.ndarray | float:
@@ -322,8 +367,8 @@ class PairCouplings:
         if domain is None:
             return 1.0
         marks = domain
-        spectrum = self._pairs.forward(lambda z: marks[z].astype(np.float32))
-        return np.maximum(self._pairs.curve(spectrum, spectrum), 1 / domain.size)
+        shares = self._curve(lambda z: marks[z].astype(np.float32))
+        return np.maximum(shares, 1 / domain.size)
 
     def _channel_planes(
         self, levels: np.ndarray, domain: np.ndarray | None, channel: int

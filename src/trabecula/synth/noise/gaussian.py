@@ -23,7 +23,7 @@ from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.numerics.transforms import fast_side
 from trabecula.synth.noise.covariance import Filter
-from trabecula.synth.noise.periodic_domain import Domain, Use
+from trabecula.synth.noise.lattice import Domain, Use
 
 
 @kernel

@@ -33,7 +33,7 @@ from trabecula.synth.noise.fields import (
     stages_of_ranking,
 )
 from trabecula.synth.noise.gaussian import PIECE
-from trabecula.synth.noise.periodic_domain import domain_of, lift_box
+from trabecula.synth.noise.lattice import domain_of, lift_box
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _TABLES = 300_000  # bytes of the joint probability's table and what makes it

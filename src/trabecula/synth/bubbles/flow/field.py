@@ -19,10 +19,24 @@ from trabecula.core.errors import InputError
 from trabecula.engine.blocks import Box
 from trabecula.synth.bubbles.flow.config import FlowConfig
 from trabecula.synth.bubbles.flow.given import Given
-from trabecula.synth.bubbles.flow.room import MARGIN, SLAB, Room
-from trabecula.synth.bubbles.flow.slices import KEPT, ORDER, MaskSlices, Slice, cell_of
-from trabecula.synth.bubbles.flow.step import pack_int8, step_direction
-from trabecula.synth.bubbles.flow.systems import Frames, System, condition_of, system_of
+from trabecula.synth.bubbles.flow.slices import (
+    KEPT,
+    MARGIN,
+    ORDER,
+    SLAB,
+    MaskSlices,
+    Room,
+    Slice,
+    cell_of,
+)
+from trabecula.synth.bubbles.flow.systems import (
+    Frames,
+    System,
+    condition_of,
+    pack_int8,
+    step_direction,
+    system_of,
+)
 
 Centre = tuple[np.ndarray | float, np.ndarray | float]
 
