@@ -25,6 +25,7 @@ def place(tmp_path, monkeypatch, bone):
     return tmp_path
 
 
+@pytest.mark.whole
 def test_the_sentence(place):
     exemplar = tb.read("scan.npy", spacing=19.5, unit="um")
     material = tb.method("texture", **SETTINGS).fit(exemplar).generate((24, 20, 22), seed=7)
@@ -102,6 +103,7 @@ def test_targets(place):
     assert not (place / "deep").exists()
 
 
+@pytest.mark.whole
 def test_demo_leaves_what_it_says(place, monkeypatch, bone):
     small = tb.crop(bone, 28)
     monkeypatch.setattr(demo, "sample", lambda name: small)
@@ -134,6 +136,7 @@ def full_recipe(place):
     return json.loads(json.dumps(tb.render(part, size=(32, 24)).recipe.to_json()))
 
 
+@pytest.mark.whole
 def test_replay_does_every_step(place):
     recipe = Recipe.from_json(full_recipe(place))
     assert [step["verb"] for step in recipe.steps] == ["generate", "finish", "render"]
@@ -141,6 +144,7 @@ def test_replay_does_every_step(place):
     assert digest(replay.replay(recipe, folder=place).values) == recipe.steps[-1]["sha256"]
 
 
+@pytest.mark.whole
 def test_every_step_is_compared(place):
     for change in (
         lambda steps: steps[0],
@@ -153,6 +157,7 @@ def test_every_step_is_compared(place):
             replay.replay(Recipe.from_json(steps), folder=place)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("damage", "says"),
     [
@@ -208,6 +213,7 @@ def test_a_missing_exemplar_is_told(place):
         replay.replay(Recipe.from_json(steps), folder=place, exemplar="grye.npy")
 
 
+@pytest.mark.whole
 def test_a_target_field_is_found_again(tmp_path, monkeypatch):
     """Find a field by its recipe, which stands in that of the result."""
 

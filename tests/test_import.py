@@ -43,6 +43,7 @@ def test_importing_the_package_loads_nothing():
     assert modules_after("import trabecula", ("numpy", *HEAVY)) == []
 
 
+@pytest.mark.whole
 def test_every_public_name_is_there():
     assert modules_after(
         "import trabecula as tb\nfor name in tb.__all__: getattr(tb, name)",

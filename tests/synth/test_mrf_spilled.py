@@ -139,6 +139,7 @@ def test_densities_may_come_from_other_processes(heuristic, pictures, tmp_path, 
     assert others.worked
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("kind", "parts"), [("labels", ("mask",)), ("grey", ())])
 def test_spilled_no_array_of_the_volume_is_in_memory(kind, parts, pictures, tmp_path, monkeypatch):
     """Trace NumPy's own arrays: four times as many planes take no more of them."""

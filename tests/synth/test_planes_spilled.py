@@ -82,6 +82,7 @@ def small_arrays_too(monkeypatch):
     monkeypatch.setattr(memmap, "SMALLEST", 512)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("name", "image", "options", "parts"), CASES)
 def test_scratch_files_do_not_matter(name, image, options, parts, tmp_path, small_arrays_too):
     model = tb.method(name, **(QUICK[name] | options)).fit(image)
@@ -99,6 +100,7 @@ class StoppedError(Exception):
     """Somebody had enough."""
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("name", "image", "parts", "when"),
     [

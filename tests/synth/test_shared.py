@@ -140,6 +140,7 @@ def test_projections_are_exact_sums():
     )
 
 
+@pytest.mark.whole
 def test_distances_of_features_are_those_of_neighbourhoods():
     field = quantise(phase_fields(tb.crop(tb.sample("foam"), 20))[0], clip=5)
     # every component: nothing is lost

@@ -43,6 +43,7 @@ def covariance(values, **keywords):
     return measure.covariance_form(measure.two_point(values, r_max=12, phase=1, **keywords))
 
 
+@pytest.mark.whole
 def test_slices_have_the_pictures_fraction_and_two_point_function(picture, model):
     made = model.generate(48, seed=3).values
     assert abs(made.mean() - picture.values.mean()) < 1e-4
@@ -53,12 +54,14 @@ def test_slices_have_the_pictures_fraction_and_two_point_function(picture, model
     assert relative(covariance(noise, axis=0), truth) > 0.6  # what the bound above is worth
 
 
+@pytest.mark.whole
 def test_no_axis_is_preferred(model):
     made = model.generate(48, seed=4).values
     lines = [covariance(made, axis=axis) for axis in range(3)]
     assert max(relative(a, b) for a in lines for b in lines) < 0.35
 
 
+@pytest.mark.whole
 def test_two_views_make_an_anisotropic_material():
     """Cylinders along x: stripes in the planes that hold x, discs across it."""
     rng = np.random.default_rng(2)
@@ -75,6 +78,7 @@ def test_two_views_make_an_anisotropic_material():
     assert kept[2] > max(kept[:2]) + 0.05
 
 
+@pytest.mark.whole
 def test_the_picture_itself_as_the_middle_slice(picture, model):
     values, known = np.zeros((24, 64, 64), np.uint8), np.zeros((24, 64, 64), bool)
     values[12], known[12] = picture.values, True
@@ -88,12 +92,14 @@ def test_the_picture_itself_as_the_middle_slice(picture, model):
     assert abs(made[:10].mean() - picture.values.mean()) < 0.15
 
 
+@pytest.mark.whole
 def test_a_target_porosity_is_met(model):
     for porosity in (0.45, 0.7):
         made = model.generate(24, seed=1, target={"porosity": porosity}).values
         assert abs(1 - made.mean() - porosity) < 1e-3
 
 
+@pytest.mark.whole
 def test_a_mask_is_filled_with_the_fraction_and_nothing_else(picture, model):
     grid = np.indices((30, 30, 30)) - 15
     ball = (grid**2).sum(axis=0) < 13**2
@@ -102,6 +108,7 @@ def test_a_mask_is_filled_with_the_fraction_and_nothing_else(picture, model):
     assert abs(made[ball].mean() - picture.values.mean()) < 1e-3
 
 
+@pytest.mark.whole
 def test_periodic_axes_go_on_without_a_seam(model):
     made = model.generate((27, 32, 32), seed=2, periodic=(True, False, False)).values
     seam = np.mean(made[0] == made[-1])
@@ -115,6 +122,7 @@ def test_too_thin_for_a_period_is_refused(model):
     assert model.generate((5, 20, 20), seed=1).shape == (5, 20, 20)
 
 
+@pytest.mark.whole
 def test_three_phases_keep_their_fractions():
     field = blobs((48, 48), seed=1).astype(np.uint8) + blobs((48, 48), seed=7)
     made = (

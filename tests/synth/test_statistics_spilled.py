@@ -277,11 +277,13 @@ def whole(model):
     return model.generate(SHAPE, seed=3).values
 
 
+@pytest.mark.whole
 def test_new_material_is_the_same_in_scratch_files(model, whole, tmp_path):
     with memmap.map_large_arrays(tmp_path, memory=1 << 19, thickest=5):
         assert np.array_equal(model.make(Request(SHAPE, seed=3))[0], whole)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("owner", "name", "call", "left"),
     [

@@ -142,6 +142,7 @@ def test_layers_stay_layers_of_the_same_period():
     assert np.count_nonzero(np.diff(edges) == 12) >= len(edges) - 2, "at most one slip of phase"
 
 
+@pytest.mark.whole
 def test_porosity_is_exact():
     exemplar = tb.crop(tb.sample("bone"), 48)
     material = tb.method("texture").fit(exemplar).generate(50, seed=1)
@@ -149,6 +150,7 @@ def test_porosity_is_exact():
     assert np.count_nonzero(material.values) == round(material.values.size * share)
 
 
+@pytest.mark.whole
 def test_three_phases_keep_their_fractions_and_their_contacts():
     """Balls of `core` in a shell of `shell` in void: core and void never touch, in the exemplar or
     the result.
@@ -170,12 +172,14 @@ def test_three_phases_keep_their_fractions_and_their_contacts():
     assert contacts < 0.01 * np.count_nonzero(core)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("shape", [(12, 70, 12), (5, 5, 5), (1, 30, 30)])
 def test_thin_and_tiny_shapes_are_delivered(shape):
     exemplar = tb.crop(tb.sample("foam"), 32)
     assert tb.method("texture").fit(exemplar).generate(shape, seed=0).shape == shape
 
 
+@pytest.mark.whole
 def test_a_flat_exemplar_makes_a_thick_material():
     exemplar = tb.crop(tb.sample("bone"), (16, 64, 64))
     material = tb.method("texture").fit(exemplar).generate((40, 64, 64), seed=0)
@@ -198,6 +202,7 @@ def test_settings_out_of_range_are_refused():
             TextureConfig(**{name: value})
 
 
+@pytest.mark.whole
 def test_bone_from_a_scan_reaches_the_goal(data):
     """120^3 from the central 60^3: S2 normalised l2 <= 0.06, largest >= 0.98, one piece after
     connect.

@@ -79,6 +79,7 @@ def test_the_local_fraction_follows_the_ramp(graded, ramp):
     assert tb.measure.largest_fraction(graded) > 0.97
 
 
+@pytest.mark.whole
 def test_a_flat_field_is_a_number_and_porosity_the_complement(model):
     asked = (
         {"porosity": 0.75},
@@ -99,6 +100,7 @@ def test_names_of_phases_count_and_not_their_order(bone, model):
     assert np.mean(made.values == 1) == pytest.approx(0.7, abs=1e-4)
 
 
+@pytest.mark.whole
 def test_inside_a_mask_and_around_an_axis(model, ramp):
     ball = (
         np.hypot.outer(
@@ -159,6 +161,7 @@ def test_tiles_change_no_voxel(monkeypatch, model):
     assert digest(model.generate(request).values) == digest(whole.values)
 
 
+@pytest.mark.whole
 def test_the_forecast_of_memory_holds(model):
     shape = (96, 80, 72)
     request = tb.Request(
@@ -181,6 +184,7 @@ def test_a_little_beyond_the_exemplar_can_be_made_and_far_beyond_is_refused(mode
         model.generate(32, seed=1, target={"volume_fraction": 0.98})
 
 
+@pytest.mark.whole
 def test_what_cannot_be_honoured_is_refused(bone, model):
     with pytest.raises(RequestError, match="cannot honour the target euler"):
         model.generate(32, target={"euler": 0.0})

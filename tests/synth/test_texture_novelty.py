@@ -243,6 +243,7 @@ def test_no_place_is_special_where_axes_wrap():
     assert np.abs(there.astype(int) - here).max() <= 2
 
 
+@pytest.mark.whole
 def test_open_faces_gather_no_phase():
     """What a step adds, averaged over where the faces lie in an endless material, is the same at a
     face and far from it.

@@ -42,6 +42,7 @@ def misfit(exemplar, image):
     return np.where(distance < 0, np.nan, distance)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("novelty", [0, 1])
 def test_a_periodic_tile_repeats_without_a_seam(bone, novelty):
     side, margin = 56, 16
@@ -66,6 +67,7 @@ def test_a_form_is_filled_and_nothing_lies_outside(bone, model, new):
         assert np.count_nonzero(part) == round(np.count_nonzero(ball) * bone.values.mean())
 
 
+@pytest.mark.whole
 def test_material_is_flush_to_the_surface_of_its_form(model):
     """A slab: the share of solid in its outermost planes is that within, over six seeds (their mean
     scatters by a tenth).
@@ -87,6 +89,7 @@ def test_a_form_without_room_for_a_neighbourhood_is_refused(model):
         model.generate(40, mask=sheet)
 
 
+@pytest.mark.whole
 def test_fixed_voxels_stay_and_what_is_made_joins_them(bone):
     whole = tb.sample("bone")
     bone, scan = (
@@ -230,6 +233,7 @@ def test_grey_comes_out_with_its_whole_histogram(bone, dtype):
     )
 
 
+@pytest.mark.whole
 def test_colours_stay_the_exemplars(bone):
     solid = bone.values[:32, :32, :32, None].astype(bool)
     values = np.where(solid, np.array([230, 210, 160]), np.array([120, 30, 20])).astype(np.uint8)
@@ -300,6 +304,7 @@ def test_the_papers_pieces_honour_every_part(bone, settings):
     assert 0.5 * exemplar.values.mean() < share < 2 * exemplar.values.mean()
 
 
+@pytest.mark.whole
 def test_the_exact_search_finds_nearer_neighbourhoods_than_the_coherent_one(bone):
     exemplar = tb.crop(bone, 28)
     fits = {}
@@ -336,6 +341,7 @@ def test_mirrored_copies_are_learnt_from():
     assert 0.7 < leans["mirrors"] < 1.4
 
 
+@pytest.mark.whole
 def test_new_material_copies_no_more_than_an_independent_sample_does(bone):
     """The dial's ends. Parts of a real scan have coherence(4) of .03 to .08 with each other."""
     exemplar = labels(bone.values[:, :, :40], bone)

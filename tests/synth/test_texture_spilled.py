@@ -93,6 +93,7 @@ CASES = {
 }
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("case", CASES)
 def test_in_slabs_and_at_once_are_the_same(case, bone, tmp_path):
     made_of, settings, parts = CASES[case]

@@ -45,6 +45,7 @@ def test_the_types_are_installed_with_the_package():
     assert (PACKAGE / "py.typed").is_file() and public_stub.STUB.is_file()
 
 
+@pytest.mark.whole
 def test_a_type_checker_knows_every_type_in_a_users_script(tmp_path):
     pytest.importorskip("mypy")
     asked = "\n".join(f"reveal_type(tb.{name})" for name in SIGNATURES)
@@ -63,6 +64,7 @@ def test_a_type_checker_knows_every_type_in_a_users_script(tmp_path):
         assert part in line, f"{name}: {line}"
 
 
+@pytest.mark.whole
 def test_the_users_script_runs(tmp_path):
     figures = user_script.main(tmp_path)
     assert figures["porosity"] == pytest.approx(figures["exemplar"], abs=0.1)
