@@ -17,10 +17,9 @@ import zarr
 import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.core.recipe import Recipe, digest
-from trabecula.engine import blocks, store
+from trabecula.engine import blocks, storage, store
 from trabecula.engine.blocks import StoredVolume, boxes_of, slices_of, stream
 from trabecula.engine.multiscale import halve_resolution
-from trabecula.engine.storage import local
 from trabecula.errors import FileError
 
 SHAPE = (300, 130, 257)
@@ -194,7 +193,7 @@ def test_a_run_that_died_before_the_store_had_its_name(run, tmp_path, monkeypatc
     def die(*names):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(local, "put_in_place", die)
+    monkeypatch.setattr(storage, "put_in_place", die)
     with pytest.raises(KeyboardInterrupt):
         run(Maker())
     monkeypatch.undo()
@@ -222,7 +221,7 @@ def test_a_coarser_cube_that_is_lost_or_spoilt_is_made_again_and_no_block(
     run, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(
-        local, "put_in_place", lambda *names: (_ for _ in ()).throw(KeyboardInterrupt)
+        storage, "put_in_place", lambda *names: (_ for _ in ()).throw(KeyboardInterrupt)
     )
     with pytest.raises(KeyboardInterrupt):
         run(Maker())

@@ -73,6 +73,9 @@ class _Scratch:
 
 _scratch: ContextVar[_Scratch | None] = ContextVar("trabecula_scratch", default=None)
 
+_LEAST = 1 << 20
+"""Bytes of memory-mapped arrays that are resident in any case."""
+
 
 @contextmanager
 def map_large_arrays(
@@ -202,8 +205,11 @@ def slab_thickness(length: int, threads: int) -> int:
     if scratch is None:
         return length
     live = sum(map(len, scratch.live()))
-    most = length if scratch.thickest is None else scratch.thickest
-    return max(1, min(most, length * scratch.memory // max(1, live * threads)))
+    # A release of pages costs as much as many rows: no fewer bytes a slab than `_LEAST` has, and no
+    # more than 64 slabs of lists far longer than a volume is deep.
+    most = length if scratch.thickest is None else max(scratch.thickest, length // 64)
+    memory = max(scratch.memory, _LEAST)
+    return max(1, min(most, length * memory // max(1, live * threads)))
 
 
 def run_on_workers(work: Callable[[int, int], object], length: int) -> bool:
