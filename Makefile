@@ -8,7 +8,7 @@ endif
 
 # So that the processes that tests start need not compile the sources again.
 export PYTHONDONTWRITEBYTECODE :=
-PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --durations 20
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --durations 20
 
 .PHONY: demo test test-all test-learn test-types test-cluster test-remote test-peers test-newest test-matrix mutants fuzz check docs gallery bench wheel clean
 
@@ -20,10 +20,10 @@ test: $(VENV)/dev.stamp             ## the tests of minutes, by as many processe
 
 test-all: $(VENV)/dev.stamp         ## every test of the base install, and those of each extra
 	$(PYTEST)
-	$(MAKE) test-newest test-learn test-cluster test-remote test-types
+	$(MAKE) --no-print-directory test-newest test-learn test-cluster test-remote
 
 test-learn: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## the tests that need PyTorch, which `make test` skips where it is not installed
-	$(BIN)/python -m pytest tests/synth/gan tests/contract -k gan
+	$(PYTEST) tests/synth/gan tests/contract -k gan
 
 test-types: $(VENV)/dev.stamp $(VENV)/types.stamp   ## mypy and Pyright over a user's script
 	$(BIN)/python -m pytest tests/types
