@@ -10,7 +10,7 @@ endif
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --durations 20
 
-.PHONY: demo test test-all test-learn test-types test-cluster test-remote test-peers test-newest test-matrix mutants fuzz check docs gallery bench wheel clean
+.PHONY: demo test test-all test-soak coverage test-learn test-types test-cluster test-remote test-peers test-newest test-matrix mutants fuzz check docs gallery bench wheel clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -21,6 +21,12 @@ test: $(VENV)/dev.stamp             ## the tests of minutes, by as many processe
 test-all: $(VENV)/dev.stamp         ## every test of the base install, and those of each extra
 	$(PYTEST)
 	$(MAKE) --no-print-directory test-newest test-learn test-cluster test-remote
+
+test-soak: $(VENV)/dev.stamp        ## ten runs of every test in random order beside full load; hours
+	$(BIN)/python tests/soak.py
+
+coverage: $(VENV)/dev.stamp         ## branches of the Python code that the tests reach, kernels apart
+	$(PYTEST) --cov --cov-report=term
 
 test-learn: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## the tests that need PyTorch, which `make test` skips where it is not installed
 	$(PYTEST) tests/synth/gan tests/contract -k gan

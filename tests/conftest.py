@@ -2,6 +2,7 @@
 
 import functools
 import os
+import random
 import tempfile
 from pathlib import Path
 
@@ -44,6 +45,22 @@ _SEARCH = os.environ.get("HYPOTHESIS_EXAMPLES")
 settings.register_profile("same", deadline=None, derandomize=True)
 settings.register_profile("search", deadline=None, max_examples=int(_SEARCH or 100))
 settings.load_profile("search" if _SEARCH else "same")
+
+
+def pytest_addoption(parser):
+    parser.addoption("--shuffle", type=int, help="run files, and tests of a file, in random order")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config, items):
+    """Shuffle tests by the seed that `--shuffle` gives, keeping those of a file together."""
+    seed = config.getoption("shuffle")
+    if seed is not None:
+        rank = random.Random(seed)
+        rank.shuffle(items)
+        files = sorted({item.path for item in items})
+        rank.shuffle(files)
+        items.sort(key=lambda item: files.index(item.path))
 
 
 def pytest_xdist_make_scheduler(config, log):
