@@ -18,8 +18,7 @@ SETTINGS = {"neighbourhood": 4, "first_rounds": 2, "rounds": (1,)}
 def place(tmp_path, monkeypatch, bone):
     """Make a working folder with a small scan, and a sample that costs nothing."""
     monkeypatch.chdir(tmp_path)
-    for room in (demo, inputs):
-        monkeypatch.setattr(room, "sample", lambda name: bone)
+    monkeypatch.setattr(inputs, "sample", lambda name: bone)
     np.save("scan.npy", tb.crop(bone, 24).values)
     np.save("grey.npy", tb.crop(bone, 24).values * np.uint8(90) + np.arange(24, dtype=np.uint8))
     return tmp_path
@@ -106,8 +105,11 @@ def test_targets(place):
 @pytest.mark.whole
 def test_demo_leaves_what_it_says(place, monkeypatch, bone):
     small = tb.crop(bone, 28)
-    monkeypatch.setattr(demo, "sample", lambda name: small)
-    monkeypatch.setattr(demo, "method", lambda name: tb.method(name, **SETTINGS))
+    method = tb.method
+    monkeypatch.setattr("trabecula.exemplar.samples.sample", lambda name: small)
+    monkeypatch.setattr(
+        "trabecula.synth.api.registry.method", lambda name: method(name, **SETTINGS)
+    )
     verdict = demo.demo("out", shape=24)
     names = {path.name for path in (place / "out").iterdir()}
     assert names == {
@@ -123,9 +125,7 @@ def test_demo_leaves_what_it_says(place, monkeypatch, bone):
     assert part.shape == (24, 24, 24) and verdict.metrics["components"].value == 1
     assert verdict.metrics["porosity"].value == pytest.approx((part.values == 0).mean())
     assert "part.zarr" in (place / "out" / "report.html").read_text(encoding="utf-8")
-    from trabecula.cli.demo import _WHAT
-
-    assert set(_WHAT) == names
+    assert set(demo._WHAT) == names
 
 
 def full_recipe(place):

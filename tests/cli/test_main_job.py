@@ -173,7 +173,7 @@ def test_nothing_else_is_left_behind(job):
 def place(tmp_path, monkeypatch, bone):
     """Make a working folder, and a sample that costs nothing."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("trabecula.cli.demo.sample", lambda name: bone)
+    monkeypatch.setattr("trabecula.exemplar.samples.sample", lambda name: bone)
     np.save("scan.npy", tb.crop(bone, 28).values)
     return tmp_path
 

@@ -8,9 +8,9 @@ it has the result's shape. `windowed` returns the descriptors of every window as
 from collections.abc import Callable
 
 from trabecula.core.image import Image
+from trabecula.fields.grid import formula, picture, radial, ramp
 from trabecula.fields.interpolate import fill, interpolate, resample, rescale
 from trabecula.fields.local import directions, measure, windowed
-from trabecula.fields.shapes import formula, picture, radial, ramp
 from trabecula.fields.topology import case, simp
 
 # By their names in a recipe's step, so that it can be replayed.

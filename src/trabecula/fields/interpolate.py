@@ -31,6 +31,7 @@ from trabecula.fields.grid import (
     history_of,
     middles,
     of_image,
+    resample_array,
 )
 from trabecula.numerics.transforms import fast_side
 
@@ -385,18 +386,3 @@ def rescale(field: Image, *, low: float, high: float, clip: bool = False) -> Ima
     return of_image(
         values.clip(least, most), "rescale", {"low": least, "high": most, "clip": bool(clip)}, field
     )
-
-
-def resample_array(values: np.ndarray, shape: Sequence[int]) -> np.ndarray:
-    """Interpolate linearly between the voxels' middles, one axis after another, in float64."""
-    found = np.asarray(values, np.float64)
-    for axis, side in enumerate(shape):
-        old = found.shape[axis]
-        if old == side:
-            continue
-        at = np.clip((np.arange(side) + 0.5) * old / side - 0.5, 0, old - 1)
-        lower = np.minimum(at.astype(np.int64), max(old - 2, 0))
-        share = (at - lower).reshape([-1 if k == axis else 1 for k in range(found.ndim)])
-        upper = np.minimum(lower + 1, old - 1)
-        found = found.take(lower, axis) * (1 - share) + found.take(upper, axis) * share
-    return found
