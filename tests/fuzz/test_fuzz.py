@@ -5,6 +5,7 @@ result, and neither a hang nor memory without bounds.
 import sys
 
 import pytest
+
 import run
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs links, pipes and limits")

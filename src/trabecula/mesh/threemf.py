@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import xml.etree.ElementTree as ElementTree
 import zipfile
+from functools import cache
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -21,6 +22,7 @@ _CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 _NO_UNIT_NOTE = "unit unknown: a length of 1 was written as 1 mm"
 _FOOT = 12.0  # inches: the one unit of 3MF that an Image does not know
 _DEEPEST = 16  # nested components; a file in which one contains itself would never end
+_MOST_COPIES = 100_000
 
 _TYPES = """<?xml version="1.0" encoding="UTF-8"?>
 <Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
@@ -117,9 +119,11 @@ def read(path: Path) -> Mesh:
             )
         model = ElementTree.fromstring(package.read(entry))
     objects = {node.get("id", ""): node for node in model.iter(f"{_CORE}object")}
+    items = list(model.iter(f"{_CORE}item"))
+    _check_copies(objects, [item.get("objectid", "") for item in items])
     parts = [
         part
-        for item in model.iter(f"{_CORE}item")
+        for item in items
         for part in _object_parts(objects, item.get("objectid", ""), _transform(item), _DEEPEST)
     ]
     offsets = np.cumsum([0, *(len(points) for points, _ in parts)])
@@ -140,6 +144,21 @@ def _read_unit(model: ElementTree.Element) -> tuple[str, float]:
     return ("inch", _FOOT) if stated == "foot" else (parse_unit(stated), 1.0)
 
 
+def _check_copies(objects: dict[str, ElementTree.Element], names: list[str]) -> None:
+    """Raise where components repeat objects without end, as ten of ten of ten do."""
+
+    @cache
+    def copies(name: str, depth: int) -> int:
+        if depth == 0:
+            raise ValueError("its components are nested too deep")
+        inner = objects[name].iter(f"{_CORE}component")
+        return 1 + sum(copies(node.get("objectid", ""), depth - 1) for node in inner)
+
+    count = sum(copies(name, _DEEPEST) for name in names)
+    if count > _MOST_COPIES:
+        raise ValueError(f"its components repeat objects {count} times")
+
+
 def _object_parts(
     objects: dict[str, ElementTree.Element], name: str, transform: np.ndarray, depth: int
 ) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -147,8 +166,6 @@ def _object_parts(
 
     `transform` is (4, 3): points are rows (x, y, z, 1).
     """
-    if depth == 0:
-        raise ValueError("its components are nested too deep")
     node = objects[name]
     parts = []
     surface = node.find(f"{_CORE}mesh")
