@@ -14,6 +14,7 @@ from specimens import COLOUR, FLOATS, HALF, LABELS, check, image
 import trabecula as tb
 from commands import attempt as run_line
 from trabecula.cli.main import VERBS
+from trabecula.errors import TrabeculaError
 
 MODULES = ("measure", "finish", "fields")
 LINE_SHARE = 0.2
@@ -70,6 +71,7 @@ def attempt(seed: int, number: int, folder: Path) -> None:
         assert output.status in (0, 2), f"exit status {output.status}: {output.err}"
         if output.status == 2:
             assert len(output.lines) == 1 and not output.out, output.err
+            raise TrabeculaError(output.lines[0])
         return
     function = functions()[name]
     positional, named = arguments(rng, function)

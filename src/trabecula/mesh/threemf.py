@@ -22,7 +22,7 @@ _CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 _NO_UNIT_NOTE = "unit unknown: a length of 1 was written as 1 mm"
 _FOOT = 12.0  # inches: the one unit of 3MF that an Image does not know
 _DEEPEST = 16  # nested components; a file in which one contains itself would never end
-_MOST_COPIES = 100_000
+_ENTRY = 300  # bytes that a vertex or triangle takes while it is read
 
 _TYPES = """<?xml version="1.0" encoding="UTF-8"?>
 <Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
@@ -124,7 +124,7 @@ def read(path: Path) -> Mesh:
     parts = [
         part
         for item in items
-        for part in _object_parts(objects, item.get("objectid", ""), _transform(item), _DEEPEST)
+        for part in _object_parts(objects, item.get("objectid", ""), _transform(item))
     ]
     offsets = np.cumsum([0, *(len(points) for points, _ in parts)])
     vertices = np.concatenate([points for points, _ in parts])
@@ -145,22 +145,25 @@ def _read_unit(model: ElementTree.Element) -> tuple[str, float]:
 
 
 def _check_copies(objects: dict[str, ElementTree.Element], names: list[str]) -> None:
-    """Raise where components repeat objects without end, as ten of ten of ten do."""
+    """Raise where components repeat objects beyond memory, as ten of ten of ten do."""
 
     @cache
-    def copies(name: str, depth: int) -> int:
+    def entries(name: str, depth: int) -> int:
         if depth == 0:
             raise ValueError("its components are nested too deep")
-        inner = objects[name].iter(f"{_CORE}component")
-        return 1 + sum(copies(node.get("objectid", ""), depth - 1) for node in inner)
+        node = objects[name]
+        inner = node.iter(f"{_CORE}component")
+        return sum(1 for _ in node.iter()) + sum(
+            entries(one.get("objectid", ""), depth - 1) for one in inner
+        )
 
-    count = sum(copies(name, _DEEPEST) for name in names)
-    if count > _MOST_COPIES:
-        raise ValueError(f"its components repeat objects {count} times")
+    count = sum(entries(name, _DEEPEST) for name in names)
+    if count * _ENTRY > available_memory():
+        raise ValueError(f"its components repeat {count} entries, too much for memory")
 
 
 def _object_parts(
-    objects: dict[str, ElementTree.Element], name: str, transform: np.ndarray, depth: int
+    objects: dict[str, ElementTree.Element], name: str, transform: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return vertices and faces of an object and of the components in it.
 
@@ -186,7 +189,7 @@ def _object_parts(
         whole = np.concatenate(
             [inner[:3] @ transform[:3], (inner[3] @ transform[:3] + transform[3])[None]]
         )
-        parts += _object_parts(objects, component.get("objectid", ""), whole, depth - 1)
+        parts += _object_parts(objects, component.get("objectid", ""), whole)
     return parts
 
 
