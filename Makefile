@@ -41,7 +41,7 @@ test-cluster: $(VENV)/dev.stamp $(VENV)/cluster.stamp   ## the tests that need D
 test-remote: $(VENV)/dev.stamp $(VENV)/remote.stamp   ## the tests that need an object store, an emulation of which runs meanwhile
 	$(BIN)/python -m pytest tests/remote tests/engine/test_storage.py
 
-test-peers: $(VENV)/dev.stamp $(VENV)/peers.stamp   ## packages of the field take an image as an array: they are installed, 1.2 GB
+test-peers: $(VENV)/dev.stamp $(VENV)/peers.stamp   ## packages of the field take an image as an array, and are oracles: they are installed, 1.5 GB
 	$(BIN)/python -m pytest tests/peers
 
 fuzz: $(VENV)/dev.stamp             ## 10,000 damaged files and 1,000 strange calls: an error of ours or a sound result; minutes

@@ -14,6 +14,7 @@ from specimens import COLOUR, FLOATS, HALF, LABELS, check, image
 import trabecula as tb
 from commands import attempt as run_line
 from trabecula.cli.main import VERBS
+from trabecula.errors import TrabeculaError
 
 MODULES = ("measure", "finish", "fields")
 LINE_SHARE = 0.2
@@ -23,6 +24,9 @@ SKIPPED = {
     "sample",  # the same: samples are made at their size
 }
 UNTRIED_VERBS = ("demo", "bench")  # take minutes, whatever their arguments
+
+BINDING = ("unexpected keyword argument", "required positional argument", "required keyword-only")
+"""What Python itself says of arguments that are missing or unknown, also of an inner function."""
 
 VOLUME = np.kron(HALF, np.ones((3, 3, 3), np.uint8))
 
@@ -67,6 +71,7 @@ def attempt(seed: int, number: int, folder: Path) -> None:
         assert output.status in (0, 2), f"exit status {output.status}: {output.err}"
         if output.status == 2:
             assert len(output.lines) == 1 and not output.out, output.err
+            raise TrabeculaError(output.lines[0])
         return
     function = functions()[name]
     positional, named = arguments(rng, function)
@@ -76,8 +81,8 @@ def attempt(seed: int, number: int, folder: Path) -> None:
             found = function(*positional, **named)
         except TypeError as error:
             inner = error.__traceback__ and error.__traceback__.tb_next
-            if inner is None or "unexpected keyword argument" in str(error):
-                return  # Python itself: an argument is missing or unknown
+            if inner is None or any(words in str(error) for words in BINDING):
+                return
             raise
     for value in found if isinstance(found, tuple) else (found,):
         check(value)

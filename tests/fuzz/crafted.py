@@ -142,14 +142,18 @@ def nifti(rng: Rng, path: Path) -> None:
 
 def nifti_bomb(rng: Rng, path: Path) -> None:
     """A packed NIfTI of gigabytes in its header or in its stream."""
+    path.write_bytes(_packed_nifti(int(rng.choice([10, 300, 30000])), int(rng.choice([1, 300]))))
+
+
+@cache
+def _packed_nifti(side: int, mebibytes: int) -> bytes:
     header = nibabel.Nifti1Header()
-    side = int(rng.choice([10, 300, 900, 30000]))
     header.set_data_shape((side, side, side))
     header["magic"], header["vox_offset"] = b"n+1", 352
     packer = zlib.compressobj(1, wbits=31)
     data = packer.compress(header.binaryblock + bytes(4))
-    data += b"".join(packer.compress(bytes(1 << 20)) for _ in range(int(rng.choice([1, 300]))))
-    path.write_bytes(data + packer.flush())
+    data += b"".join(packer.compress(bytes(1 << 20)) for _ in range(mebibytes))
+    return data + packer.flush()
 
 
 def png(rng: Rng, path: Path) -> None:

@@ -16,6 +16,7 @@ import io
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -30,9 +31,11 @@ for place in (HERE, HERE.parent):
     if str(place) not in sys.path:
         sys.path.insert(0, str(place))
 
-SECONDS = {"files": 30, "arguments": 600}
-"""Of one case; far more than any needs, so that neither a busy machine nor a kernel that is
-compiled looks like a hang."""
+SECONDS = {"files": 20, "arguments": 300}
+"""Of the processor, for one case: a busy machine does not look like a hang, nor does a kernel that
+is compiled."""
+WAIT = 600
+"""Seconds of the clock, for one case that waits for something."""
 FREE = 256 << 20
 """Bytes that the package is told to be free."""
 ROOM = 768 << 20
@@ -76,12 +79,12 @@ def run(what: str, count: int, seed: int) -> Iterator[dict]:
         first = 0
         while first < count:
             report = Path(folder) / f"report-{first}"
-            said = _start_child(what, count, seed, first, report)
+            said, ended = _start_child(what, count, seed, first, report)
             done = [json.loads(line) for line in report.read_text().splitlines()]
             lost = done.pop() if done and "outcome" not in done[-1] else None
             yield from (case for case in done if "outcome" in case)
             if lost is not None:
-                outcome = "hung" if "Timeout" in said else "crashed"
+                outcome = "hung" if ended == -signal.SIGPROF or "Timeout" in said else "crashed"
                 frames = said.rpartition("most recent call first")[2].splitlines()[1:8]
                 yield {**lost, "outcome": outcome, "says": " < ".join(map(str.strip, frames))}
                 first = lost["case"] + 1
@@ -91,8 +94,10 @@ def run(what: str, count: int, seed: int) -> Iterator[dict]:
                 return
 
 
-def _start_child(what: str, count: int, seed: int, first: int, report: Path) -> str:
-    """Run cases in another process until they end, or one ends it; return its standard error."""
+def _start_child(what: str, count: int, seed: int, first: int, report: Path) -> tuple[str, int]:
+    """Run cases in another process until they end, or one ends it; return its standard error and
+    its exit status.
+    """
     report.touch()
     words = [what, "--count", str(count), "--seed", str(seed), "--child", str(first), str(report)]
     child = subprocess.run(
@@ -103,7 +108,7 @@ def _start_child(what: str, count: int, seed: int, first: int, report: Path) -> 
         cwd=report.parent,
         env={**os.environ, "TRABECULA_THREADS": "1"},
     )
-    return child.stderr.decode("utf-8", "replace")
+    return child.stderr.decode("utf-8", "replace"), child.returncode
 
 
 def _work(options: argparse.Namespace, first: int, report: Path) -> None:
@@ -111,13 +116,16 @@ def _work(options: argparse.Namespace, first: int, report: Path) -> None:
     __import__(options.what).prepare()
     _limit_memory()
     stop = sys.stderr.fileno()
+    faulthandler.register(signal.SIGPROF, file=stop, chain=True)  # then it ends the process
     with report.open("w") as file:
         for number in range(first, options.count):
             label = _label(options.what, options.seed, number)
             file.write(json.dumps({"case": number, **label}) + "\n")
             file.flush()
-            faulthandler.dump_traceback_later(SECONDS[options.what], exit=True, file=stop)
+            faulthandler.dump_traceback_later(WAIT, exit=True, file=stop)
+            signal.setitimer(signal.ITIMER_PROF, SECONDS[options.what])
             found = _one(options.what, options.seed, number)
+            signal.setitimer(signal.ITIMER_PROF, 0)
             faulthandler.cancel_dump_traceback_later()
             file.write(json.dumps({"case": number, **label, **found}) + "\n")
             file.flush()

@@ -39,8 +39,10 @@ def test_itk_reads_and_writes_pictures(suffix, tmp_path):
     close = {"atol": 16} if suffix == ".jpg" else {"atol": 0}
     smooth = tb.Image(np.add.outer(np.arange(16), np.arange(24)).astype(np.uint8) * 4, "grey")
     for image in (smooth, *((COLOUR,) if suffix != ".jpg" else ())):
-        theirs = itk.ReadImage(str(tb.write(image, tmp_path / f"x{suffix}")))
-        np.testing.assert_allclose(itk.GetArrayFromImage(theirs), image.values, **close)
+        theirs = itk.GetArrayFromImage(itk.ReadImage(str(tb.write(image, tmp_path / f"x{suffix}"))))
+        if theirs.ndim > image.values.ndim:  # a BMP of greys is a palette, which ITK reads as RGB
+            theirs = theirs[..., 0]
+        np.testing.assert_allclose(theirs, image.values, **close)
         made = itk.GetImageFromArray(image.values, isVector=image.kind == "colour")
         itk.WriteImage(made, str(tmp_path / f"y{suffix}"))
         ours = tb.read(tmp_path / f"y{suffix}", kind=image.kind)
@@ -86,7 +88,7 @@ def test_tifffile_and_imageio_read_a_stack(tmp_path):
     imageio = pytest.importorskip("imageio.v3")
     path = tb.write(GREY, tmp_path / "x.tif")
     np.testing.assert_array_equal(tifffile.imread(path), GREY.values)
-    np.testing.assert_array_equal(imageio.imread(path, plugin="pillow"), GREY.values)
+    np.testing.assert_array_equal(imageio.imread(path, plugin="pillow", index=...), GREY.values)
 
 
 def test_numpy_reads_npy(tmp_path):

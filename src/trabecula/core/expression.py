@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.core.checks import check_name
+from trabecula.core.checks import check_name, quote
 from trabecula.core.errors import InputError
 
 CONSTANTS = {"pi": math.pi, "e": math.e}
@@ -124,7 +124,7 @@ def expressions(text: str, names: Collection[str], *, count: int) -> list[Expres
 
 def _tree_of(text: str) -> ast.expr:
     if not isinstance(text, str) or not text.strip():
-        raise InputError(f"the formula is {text!r}: give text such as '0.3 + 0.2 * z / Z'")
+        raise InputError(f"the formula is {quote(text)}: give text such as '0.3 + 0.2 * z / Z'")
     if len(text) > _LONGEST:
         raise InputError(f"the formula has {len(text)} characters: give at most {_LONGEST}")
     try:

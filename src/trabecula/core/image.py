@@ -295,6 +295,10 @@ def _as_values(values: np.ndarray, kind: str) -> np.ndarray:
 
 def _as_phases(values: np.ndarray, kind: str, phases: Sequence[str]) -> tuple[str, ...]:
     phases = () if phases is None else phases
+    if not isinstance(phases, str | Sequence | np.ndarray):
+        raise InputError(
+            f"phases={quote(phases)}: give one name per label, such as ('void', 'solid')"
+        )
     if kind != "labels":
         if len(phases):
             raise InputError(f"phases name labels; an image of kind {kind!r} has none")
@@ -302,15 +306,17 @@ def _as_phases(values: np.ndarray, kind: str, phases: Sequence[str]) -> tuple[st
     count = int(values.max()) + 1
     if isinstance(phases, str):
         raise InputError(
-            f"phases={phases!r} is one text: give one name per label, such as ('void', 'solid')"
+            f"phases={quote(phases)} is one text: give one name per label, such as ('void', "
+            "'solid')"
         )
     if not len(phases):
         return default_phases(max(2, count))
+    phases = [str(name) for name in phases]
     if len(phases) < max(count, 2) or len(set(phases)) != len(phases):
         raise InputError(
             f"phases {tuple(phases)} must name at least {max(count, 2)} labels, each name once"
         )
-    return tuple(str(name) for name in phases)
+    return tuple(phases)
 
 
 def default_phases(count: int) -> tuple[str, ...]:

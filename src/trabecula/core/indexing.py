@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from trabecula.core.checks import quote
 from trabecula.core.errors import InputError
 
 _AXES = ("z", "y", "x")
@@ -40,7 +41,7 @@ def read_index(key: Any, *, shape: Sequence[int]) -> tuple[int | slice, ...]:
     if len(dots) > 1 or len(items) - len(dots) > len(shape):
         raise InputError(
             f"an image of {len(shape)} axes takes up to {len(shape)} indices and one ...: got "
-            f"{key!r}"
+            f"{quote(key)}"
         )
     place = dots[0] if dots else len(items)
     missing = [slice(None)] * (len(shape) - len(items) + len(dots))
@@ -51,7 +52,7 @@ def read_index(key: Any, *, shape: Sequence[int]) -> tuple[int | slice, ...]:
     )
     if sum(isinstance(item, slice) for item in index) < 2:
         raise InputError(
-            f"{key!r} leaves fewer than 2 axes, an image has 2 or 3: index the array, "
+            f"{quote(key)} leaves fewer than 2 axes, an image has 2 or 3: index the array, "
             "image.values[...]"
         )
     return index

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.brief import brief
-from trabecula.core.checks import as_seed, as_shape
+from trabecula.core.checks import as_seed, as_shape, quote
 from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
@@ -300,6 +300,6 @@ def _as_periodic(value: bool | Sequence[bool], ndim: int) -> tuple[bool, ...]:
     if len(axes) != ndim:
         raise InputError(
             f"periodic takes one truth value or {'three' if ndim == 3 else 'two'} "
-            f"({_AXES[-ndim:]}): got {value!r}"
+            f"({_AXES[-ndim:]}): got {quote(value)}"
         )
     return axes

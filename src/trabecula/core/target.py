@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.core.checks import check_finite, check_name
+from trabecula.core.checks import check_finite, check_name, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
@@ -87,7 +87,8 @@ def _as_value(value: Any, shape: tuple[int, ...], *, name: str) -> Target:
     field = np.asarray(value.values if isinstance(value, Image) else value)
     if field.dtype.kind not in "iuf":
         raise InputError(
-            f"the target {name} is {value!r}: give a number{_between(low, high)}, or a field of "
+            f"the target {name} is {quote(value)}: give a number{_between(low, high)}, or a field "
+            "of "
             "them"
         )
     check_finite(field, name=f"the target {name}")

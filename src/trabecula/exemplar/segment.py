@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trabecula.core.checks import check_name
+from trabecula.core.checks import check_name, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, distinct_levels, with_values
 from trabecula.measure.components import label_components
@@ -120,7 +120,7 @@ def _thresholds(values: np.ndarray, threshold: float | Sequence[float] | str) ->
         found = tuple(float(number) for number in np.atleast_1d(threshold))
     except (TypeError, ValueError):
         raise InputError(
-            f"threshold {threshold!r} should be a number, a pair (low, high), 'otsu' or 'dual'"
+            f"threshold {quote(threshold)} should be a number, a pair (low, high), 'otsu' or 'dual'"
         ) from None
     if len(found) not in (1, 2) or not np.all(np.isfinite(found)) or sorted(found) != list(found):
         raise InputError(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core.checks import as_number, as_shape, as_spacing, check_finite
+from trabecula.core.checks import as_number, as_shape, as_spacing, check_finite, quote
 from trabecula.core.errors import InputError
 from trabecula.core.expression import Expression
 from trabecula.core.image import Image
@@ -63,15 +63,15 @@ def middles(shape: Sequence[int], spacing: Sequence[float]) -> list[np.ndarray]:
 
 def as_axis(axis: str | int, ndim: int) -> int:
     """Return the number of an axis given by its letter or number."""
-    if axis in tuple(AXES[ndim]):
-        return AXES[ndim].index(str(axis))
+    if isinstance(axis, str) and axis in tuple(AXES[ndim]):
+        return AXES[ndim].index(axis)
     if (
         isinstance(axis, bool)
         or not isinstance(axis, (int, np.integer))
         or not -ndim <= axis < ndim
     ):
         raise InputError(
-            f"axis {axis!r} does not exist in {ndim}-D: give one of {', '.join(AXES[ndim])}"
+            f"axis {quote(axis)} does not exist in {ndim}-D: give one of {', '.join(AXES[ndim])}"
         )
     return int(axis) % ndim
 

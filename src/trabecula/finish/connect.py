@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core.checks import check_name
+from trabecula.core.checks import check_name, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.core.progress import notify
@@ -268,7 +268,9 @@ def _check_settings(reach: int | None, brush: int, min_size: int | None) -> None
             or not isinstance(value, (int, np.integer))
             or value < least
         ):
-            raise InputError(f"{name} {value!r} must be a whole number of voxels, at least {least}")
+            raise InputError(
+                f"{name} {quote(value)} must be a whole number of voxels, at least {least}"
+            )
 
 
 def _join_components(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.checks import check_type
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
@@ -61,6 +62,7 @@ def fills_form(recipe: Recipe) -> bool:
 
 def mask_steps(recipe: Recipe) -> list[dict[str, Any]] | None:
     """Return the recipe of the form that an image fills, as JSON; None where it fills none."""
+    check_type(recipe, Recipe, name="recipe", advice="an image has one (image.recipe)")
     for step in reversed(recipe.steps):
         if step["verb"] == "crop":
             return None  # the form would have to be cropped as well

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.core.checks import as_number, check_name
+from trabecula.core.checks import as_number, check_name, quote
 from trabecula.core.errors import InputError
 
 
@@ -85,7 +85,9 @@ def _limit(name: str, value: Any) -> Any:
         return as_number(value, name=name, low=low, high=high)
     sides = list(value) if isinstance(value, (list, tuple)) else [value] * 3
     if len(sides) != 3:
-        raise InputError(f"box={value!r} should be one number of millimetres, or three (z, y, x)")
+        raise InputError(
+            f"box={quote(value)} should be one number of millimetres, or three (z, y, x)"
+        )
     return tuple(as_number(side, name=name, low=low, high=high) for side in sides)
 
 

@@ -13,11 +13,12 @@ import traceback
 import warnings
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 
+from trabecula.core.checks import quote
 from trabecula.core.errors import FileError, InputError, MemoryBudgetError, TrabeculaError
 from trabecula.engine.memory import available_memory, format_bytes
 from trabecula.engine.storage import Remote
@@ -140,7 +141,11 @@ def check_there(path: Path | Remote) -> None:
                 "check the name"
             )
         return
-    if not path.exists():
+    try:
+        there = path.exists()
+    except OSError as error:  # a name that no system takes
+        raise FileError(f"cannot read {quote(str(path))}: {error.strerror}") from error
+    if not there:
         if path.with_name(path.name + ".part").exists():
             raise FileError(
                 f"{path} is not finished: trabecula generate --resume {path} resumes the run "
@@ -165,8 +170,10 @@ def _pipes(path: Path) -> Iterator[Path]:
         for entry in entries:
             if entry.is_dir(follow_symlinks=False):
                 yield from _pipes(Path(entry.path))
-            elif not entry.is_file() and not entry.is_dir() and Path(entry.path).exists():
-                yield Path(entry.path)
+                continue
+            with suppress(OSError):  # a link that names itself
+                if not entry.is_file() and not entry.is_dir() and Path(entry.path).exists():
+                    yield Path(entry.path)
 
 
 def _near(path: Path) -> str:

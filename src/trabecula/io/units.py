@@ -5,7 +5,7 @@ An Image's unit is one of the short names below, or "voxel" where no length is k
 
 from __future__ import annotations
 
-from trabecula.core.checks import check_name
+from trabecula.core.checks import check_name, quote
 from trabecula.core.errors import InputError
 
 # short name -> (metres, the long name that OME-Zarr writes, the symbol that OME-XML writes)
@@ -71,7 +71,7 @@ def to_metres(unit: str) -> float:
     """
     if not has_length(unit):
         raise InputError(
-            f"unit {unit!r} has no length: give the image a spacing and one of "
+            f"unit {quote(unit)} has no length: give the image a spacing and one of "
             f"{', '.join(_LENGTHS)}"
         )
     return _LENGTHS[canonical(unit)][0]

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core.checks import as_number
+from trabecula.core.checks import as_number, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.measure.phases import as_mask
@@ -226,7 +226,7 @@ def _edges(values: np.ndarray, bins: int | Sequence[float]) -> np.ndarray:
         edges = np.zeros(0)
     if edges.ndim != 1 or len(edges) < 2 or not (np.diff(edges) > 0).all():
         raise InputError(
-            f"bins {bins!r} are neither a whole number nor rising edges: give at least two "
+            f"bins {quote(bins)} are neither a whole number nor rising edges: give at least two "
             "numbers, each larger than the "
             "one before"
         )

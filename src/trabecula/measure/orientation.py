@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.brief import brief
-from trabecula.core.checks import as_number
+from trabecula.core.checks import as_number, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.compile import inline, kernel
@@ -146,7 +146,8 @@ def _as_bins(bins: int | tuple[int, int] | None, ndim: int) -> tuple[int, int]:
     counts = np.ravel(bins if bins is not None else (36 if ndim == 2 else (6, 12)))
     if len(counts) != ndim - 1 or counts.dtype.kind not in "iu" or counts.min() < 1:
         raise InputError(
-            f"bins {bins!r} do not fit: give {'a number' if ndim == 2 else '(rings, sectors)'}, "
+            f"bins {quote(bins)} do not fit: give "
+            f"{'a number' if ndim == 2 else '(rings, sectors)'}, "
             "each at least 1"
         )
     return (1, int(counts[0])) if ndim == 2 else (int(counts[0]), int(counts[1]))

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.checks import quote
 from trabecula.core.errors import InputError, UnnamedVoidError
 from trabecula.core.image import Image, as_image, check_labels, phase_index
 
@@ -63,10 +64,12 @@ def as_periodic(value: bool | Sequence[bool], ndim: int) -> tuple[bool, ...]:
     """
     wraps = (value,) * ndim if isinstance(value, (bool, np.bool_)) else value
     if not isinstance(wraps, (Sequence, np.ndarray)) or not all(
-        wrap in (False, True) for wrap in wraps
+        isinstance(wrap, (int, float, np.bool_, np.number)) and wrap in (False, True)
+        for wrap in wraps
     ):
         raise InputError(
-            f"periodic is {value!r}: give True or False, or one of them for each of the {ndim} axes"
+            f"periodic is {quote(value)}: give True or False, or one of them for each of the "
+            f"{ndim} axes"
         )
     if len(wraps) != ndim:
         raise InputError(
@@ -83,7 +86,9 @@ def as_axis(axis: int, ndim: int) -> int:
         or not -ndim <= axis < ndim
     ):
         names = "0 (y) or 1 (x)" if ndim == 2 else "0 (z), 1 (y) or 2 (x)"
-        raise InputError(f"axis {axis!r} does not exist: the image has {ndim} axes, give {names}")
+        raise InputError(
+            f"axis {quote(axis)} does not exist: the image has {ndim} axes, give {names}"
+        )
     return int(axis) % ndim
 
 
@@ -92,9 +97,9 @@ def as_connectivity(connectivity: int | None, ndim: int) -> int:
     allowed = (4, 8) if ndim == 2 else (6, 18, 26)
     if connectivity is None:
         return allowed[0]
-    if connectivity not in allowed:
+    if not isinstance(connectivity, (int, np.integer)) or connectivity not in allowed:
         raise InputError(
-            f"connectivity {connectivity} does not exist in {ndim}-D: give "
+            f"connectivity {quote(connectivity)} does not exist in {ndim}-D: give "
             f"{', '.join(map(str, allowed))}"
         )
     return connectivity

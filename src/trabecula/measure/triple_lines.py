@@ -31,6 +31,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.checks import quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels, phase_index
 from trabecula.engine.compile import inline, kernel
@@ -209,7 +210,8 @@ def _three(image: Image, phases: Sequence[str | int]) -> tuple[int, int, int]:
     found = sorted({phase_index(image, phase, default="") for phase in given})
     if len(given) != 3 or len(found) != 3:
         raise InputError(
-            f"phases={phases!r}: a triple-phase line is of three different phases, give their names"
+            f"phases={quote(phases)}: a triple-phase line is of three different phases, give "
+            "their names"
         )
     return found[0], found[1], found[2]
 

@@ -92,6 +92,9 @@ def _header(raw: bytes) -> tuple[str, list[_Element], str, int]:
                 elements[-1].columns.append((name, _TYPES[values], None))
     if order not in _ORDERS or any(element.rows < 0 for element in elements):
         raise ValueError(f"its header has the format {order!r}")
+    for element in elements:
+        if element.rows > len(raw):
+            raise ValueError(f"its header claims {element.rows} rows, it has {len(raw)} bytes")
     return order, elements, parse_unit(unit), body
 
 

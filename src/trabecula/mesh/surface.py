@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.checks import quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels
 from trabecula.engine.memory import Plan, check_budget
@@ -84,7 +85,7 @@ def as_rounds(smooth: int | None) -> int:
         or not 0 <= smooth <= 1000
     ):
         raise InputError(
-            f"smooth {smooth!r} is not a number of rounds: give a whole number from 0 to 1000"
+            f"smooth {quote(smooth)} is not a number of rounds: give a whole number from 0 to 1000"
         )
     return int(smooth)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import xml.etree.ElementTree as ElementTree
 import zipfile
+from functools import cache
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -22,6 +23,7 @@ _NO_UNIT_NOTE = "unit unknown: a length of 1 was written as 1 mm"
 _PART = "{http://schemas.microsoft.com/3dmanufacturing/production/2015/06}path"
 _FOOT = 12.0  # inches: the one unit of 3MF that an Image does not know
 _DEEPEST = 16  # nested components; a file in which one contains itself would never end
+_ENTRY = 300  # bytes that a vertex or triangle takes while it is read
 
 _TYPES = """<?xml version="1.0" encoding="UTF-8"?>
 <Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
@@ -123,10 +125,12 @@ def read(path: Path) -> Mesh:
         for node in model.iter(f"{_CORE}object")
     }
     model = models[first]
+    items = list(model.iter(f"{_CORE}item"))
+    _check_copies(objects, [_key(item, first) for item in items])
     parts = [
         part
-        for item in model.iter(f"{_CORE}item")
-        for part in _object_parts(objects, _key(item, first), _transform(item), _DEEPEST)
+        for item in items
+        for part in _object_parts(objects, _key(item, first), _transform(item))
     ]
     offsets = np.cumsum([0, *(len(points) for points, _ in parts)])
     vertices = np.concatenate([points for points, _ in parts])
@@ -146,18 +150,35 @@ def _read_unit(model: ElementTree.Element) -> tuple[str, float]:
     return ("inch", _FOOT) if stated == "foot" else (parse_unit(stated), 1.0)
 
 
+def _check_copies(
+    objects: dict[tuple[str, str], ElementTree.Element], keys: list[tuple[str, str]]
+) -> None:
+    """Raise where components repeat objects beyond memory, as ten of ten of ten do."""
+
+    @cache
+    def entries(key: tuple[str, str], depth: int) -> int:
+        if depth == 0:
+            raise ValueError("its components are nested too deep")
+        node = objects[key]
+        inner = node.iter(f"{_CORE}component")
+        return sum(1 for _ in node.iter()) + sum(
+            entries(_key(one, key[0]), depth - 1) for one in inner
+        )
+
+    count = sum(entries(key, _DEEPEST) for key in keys)
+    if count * _ENTRY > available_memory():
+        raise ValueError(f"its components repeat {count} entries, too much for memory")
+
+
 def _object_parts(
     objects: dict[tuple[str, str], ElementTree.Element],
     key: tuple[str, str],
     transform: np.ndarray,
-    depth: int,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return vertices and faces of an object and of the components in it.
 
     `transform` is (4, 3): points are rows (x, y, z, 1).
     """
-    if depth == 0:
-        raise ValueError("its components are nested too deep")
     node = objects[key]
     parts = []
     surface = node.find(f"{_CORE}mesh")
@@ -178,7 +199,7 @@ def _object_parts(
         whole = np.concatenate(
             [inner[:3] @ transform[:3], (inner[3] @ transform[:3] + transform[3])[None]]
         )
-        parts += _object_parts(objects, _key(component, key[0]), whole, depth - 1)
+        parts += _object_parts(objects, _key(component, key[0]), whole)
     return parts
 
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from trabecula.core.checks import as_number, as_shape, as_spacing, check_type
+from trabecula.core.checks import as_number, as_shape, as_spacing, check_type, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
@@ -174,7 +174,9 @@ def _grid(
         raise InputError("give a shape or a margin, not both: a shape says how much room there is")
     start = None if origin is None else np.array(origin, np.float64)
     if start is not None and (start.shape != (3,) or not np.isfinite(start).all()):
-        raise InputError(f"origin {origin!r} is not made of three finite numbers: give z, y, x")
+        raise InputError(
+            f"origin {quote(origin)} is not made of three finite numbers: give z, y, x"
+        )
     # A hair less than the extent: a float32 file turns n voxels into n + 1e-6, which are n.
     hair = 1e-6 * np.maximum(np.abs(low), np.abs(high))
     extent = (high - (low if start is None else start) - hair) / edges

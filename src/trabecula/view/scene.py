@@ -13,7 +13,7 @@ from math import prod
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core.checks import as_shape, check_name
+from trabecula.core.checks import as_shape, check_name, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.memory import Plan, check_budget
@@ -180,7 +180,9 @@ def as_angles(camera: tuple[float, float]) -> tuple[float, float]:
     try:
         azimuth, elevation = (float(angle) for angle in camera)
     except (TypeError, ValueError):
-        raise InputError(f"camera {camera!r} should be (azimuth, elevation) in degrees") from None
+        raise InputError(
+            f"camera {quote(camera)} should be (azimuth, elevation) in degrees"
+        ) from None
     if not math.isfinite(azimuth) or not -90 <= elevation <= 90:
         raise InputError(
             f"camera {(azimuth, elevation)}: the elevation runs from -90 to 90 degrees, both are "

@@ -9,6 +9,7 @@ from itertools import product
 
 import numpy as np
 
+from trabecula.core.checks import quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.measure.correlation.fourier import count_mirror_pairs
@@ -237,7 +238,8 @@ def _as_direction(direction: Sequence[float] | None, ndim: int) -> tuple[float, 
         vector = np.zeros(0)
     if vector.shape != (ndim,) or not np.isfinite(vector).all() or not vector.any():
         raise InputError(
-            f"direction {direction!r} is not a vector of {ndim} numbers: give voxels along every "
+            f"direction {quote(direction)} is not a vector of {ndim} numbers: give voxels along "
+            "every "
             "axis, slowest first, "
             "such as (1, 1, 0)"
         )

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.checks import quote
 from trabecula.core.errors import InputError
 from trabecula.measure.phases import as_inside, as_mask, as_periodic
 
@@ -63,7 +64,7 @@ def check_range(r_max: int, limit: float, *, why: str) -> None:
     """Raise where r_max is not a whole number from 0 to `limit`."""
     if isinstance(r_max, bool) or not isinstance(r_max, (int, np.integer)):
         raise InputError(
-            f"r_max {r_max!r} is not a whole number: give the largest distance in voxels"
+            f"r_max {quote(r_max)} is not a whole number: give the largest distance in voxels"
         )
     if not 0 <= r_max <= limit:
         raise InputError(f"r_max {r_max} does not fit {why}: give 0 .. {max(0, math.floor(limit))}")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.brief import brief
-from trabecula.core.checks import as_number, check_name
+from trabecula.core.checks import as_number, check_name, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels, with_values
 from trabecula.engine.compile import kernel
@@ -177,7 +177,7 @@ def _materials(
 def _material(pair: Sequence[float], name: str) -> np.ndarray:
     if isinstance(pair, str) or np.shape(pair) != (2,):
         raise InputError(
-            f"{name} is {pair!r}: two numbers are needed, Young's modulus and Poisson's ratio"
+            f"{name} is {quote(pair)}: two numbers are needed, Young's modulus and Poisson's ratio"
         )
     young = as_number(pair[0], name=f"Young's modulus ({name})", low=1e-30, high=1e30)
     return isotropic(

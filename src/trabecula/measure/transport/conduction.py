@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core.checks import check_name
+from trabecula.core.checks import check_name, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels
 from trabecula.measure.phases import as_inside, indicator
@@ -205,7 +205,8 @@ def _as_conductivities(image: Image, conductivities: Mapping[str, float]) -> np.
     """Return one conductivity a label."""
     if not isinstance(conductivities, Mapping):
         raise InputError(
-            f"conductivities is {conductivities!r}: give a mapping from the name of every phase "
+            f"conductivities is {quote(conductivities)}: give a mapping from the name of every "
+            "phase "
             "to a number"
         )
     sigma = np.zeros(len(image.phases))
@@ -216,7 +217,7 @@ def _as_conductivities(image: Image, conductivities: Mapping[str, float]) -> np.
             or not 0.0 <= value < math.inf
         ):
             raise InputError(
-                f"the conductivity of {name} is {value!r}: give a finite number, 0 or more"
+                f"the conductivity of {name} is {quote(value)}: give a finite number, 0 or more"
             )
         sigma[image.phases.index(name)] = value
     found = np.bincount(image.values.ravel(), minlength=len(image.phases))
