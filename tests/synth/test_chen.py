@@ -6,7 +6,7 @@ import pytest
 import trabecula as tb
 from trabecula.errors import InputError
 from trabecula.synth.chen.config import ChenConfig
-from trabecula.synth.chen.pixels import position_excess
+from trabecula.synth.chen.method import position_excess
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.planes import RegionViews
 from trabecula.synth.shared.matching.region import Region

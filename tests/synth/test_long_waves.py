@@ -18,8 +18,8 @@ from trabecula.synth.shared.matching.rounds import match_votes
 from trabecula.synth.shared.statistics.long_waves import (
     LongWaves,
     adjust_long_waves,
-    adjusting_bytes,
     long_waves_of,
+    wave_stages,
 )
 from trabecula.synth.shared.statistics.pairs import Pairs
 from trabecula.synth.shared.statistics.two_point import correlations_of
@@ -151,7 +151,7 @@ def test_memory_is_what_was_forecast():
     adjust_long_waves(votes, target, matched)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    forecast = adjusting_bytes(field.shape[1:]) + field.size
+    forecast = max(stage.peak for stage in wave_stages(field.shape))
     tables = 3 << 19  # counts of ranks, and what they are mapped to
     assert forecast / 1.5 < most < forecast + tables
 

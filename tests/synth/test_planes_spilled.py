@@ -13,8 +13,9 @@ from trabecula.core.progress import listen
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
+from trabecula.engine.memory import check_releases
 from trabecula.engine.parallel import threads
-from trabecula.synth.chen.pixels import choose_pixels
+from trabecula.synth.chen.method import choose_pixels
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import random_matches
 from trabecula.synth.shared.matching.planes import RegionViews, cast_plane_votes
@@ -87,7 +88,8 @@ def small_arrays_too(monkeypatch):
 def test_scratch_files_do_not_matter(name, image, options, parts, tmp_path, small_arrays_too):
     model = tb.method(name, **(QUICK[name] | options)).fit(image)
     request = Request(SHAPE, seed=2, **parts)
-    whole = model.make(request)
+    with check_releases():
+        whole = model.make(request)
     with memmap.map_large_arrays(tmp_path, memory=1 << 16, thickest=7):
         made = model.make(request)
         assert memmap.file_of(made) is not None, "held in memory as a whole"

@@ -12,8 +12,8 @@ from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.content.kinds import content_of
 from trabecula.synth.shared.statistics.two_point import correlations_of
 from trabecula.synth.sliced.aims import Pictures, make_isotropic, reweight_target, subsample
-from trabecula.synth.sliced.domain import regions_around_known, torus_regions
-from trabecula.synth.sliced.specks import remove_specks
+from trabecula.synth.sliced.method import remove_specks
+from trabecula.synth.sliced.run import regions_around_known, torus_regions
 
 
 def blobs(shape, seed=0, width=2.0, fraction=0.4):

@@ -9,7 +9,7 @@ import trabecula as tb
 from trabecula.core.seeds import key
 from trabecula.engine.parallel import threads
 from trabecula.errors import RequestError
-from trabecula.synth.chen.pixels import choose_pixels
+from trabecula.synth.chen.method import choose_pixels
 from trabecula.synth.shared.content.fields import UNIT
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.content.kinds import content_of
@@ -19,7 +19,7 @@ from trabecula.synth.shared.matching.planes import RegionViews, cast_plane_votes
 from trabecula.synth.shared.matching.principal_components import principal_basis
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
-from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods, transport_planes
+from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods
 from trabecula.synth.shared.statistics.slices import slice_target
 from trabecula.synth.shared.statistics.two_point import correlations_of
 from trabecula.synth.shared.statistics.two_point_steps import misfit
@@ -217,8 +217,8 @@ def test_sliced_rounds_of_one_view_are_those_of_its_planes():
     field = (np.random.default_rng(1).integers(-90, 91, (1, 10, 12, 14)) * UNIT).astype(np.int16)
     for axis in range(3):
         turned = np.ascontiguousarray(np.moveaxis(field, 1 + axis, 1))
-        alone = transport_neighbourhoods(turned, slices, key=key(0, "s"), number=3)
-        together = transport_planes(field, [(axis, slices)], key=key(0, "s"), number=3)
+        alone = transport_neighbourhoods(turned, [(0, slices)], key=key(0, "s"), number=3)
+        together = transport_neighbourhoods(field, [(axis, slices)], key=key(0, "s"), number=3)
         assert np.array_equal(np.moveaxis(together, 1 + axis, 1), alone)
 
 
@@ -229,7 +229,7 @@ def test_sliced_rounds_take_on_the_pictures_distribution_in_every_view():
         UNIT
     )
     for number in range(16):
-        field = transport_planes(
+        field = transport_neighbourhoods(
             field,
             [(axis, slices) for axis in range(3)],
             key=key(0, "s"),
@@ -252,7 +252,9 @@ def test_threads_do_not_matter_on_planes():
     for count in (1, 3):
         with threads(count):
             made.append(
-                transport_planes(field, [(0, exemplar), (2, exemplar)], key=key(0, "s"), number=1)
+                transport_neighbourhoods(
+                    field, [(0, exemplar), (2, exemplar)], key=key(0, "s"), number=1
+                )
             )
     assert np.array_equal(made[0], made[1])
 

@@ -11,27 +11,26 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.cluster import ReferencedFiles
+from trabecula.engine.memory import check_releases
 from trabecula.synth.shared.content.fields import FULL, noise, votes_of
 from trabecula.synth.shared.content.kinds import Labels
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.statistics.pairs import Pairs
 from trabecula.synth.shared.statistics.sliced import (
-    round_bytes,
     transport_neighbourhoods,
-    transport_planes,
+    transport_stages,
 )
 from trabecula.synth.shared.statistics.slices import Transport, slice_target
 from trabecula.synth.shared.statistics.two_point import correlations_of
 from trabecula.synth.shared.statistics.two_point_steps import (
     misfit,
-    step_bytes,
-    step_slab_bytes,
+    step_stages,
     two_point_step,
 )
 from trabecula.synth.sliced import run
-from trabecula.synth.sliced.domain import regions_around_known
-from trabecula.synth.sliced.specks import remove_specks
-from trabecula.synth.sliced.steps import distance_step, slab_bytes, slope
+from trabecula.synth.sliced.method import remove_specks
+from trabecula.synth.sliced.run import regions_around_known
+from trabecula.synth.sliced.steps import distance_stages, distance_step, slope
 from trabecula.synth.texture import novel_layout
 
 OPEN, AROUND, MIXED = (False, False, False), (True, True, True), (True, False, True)
@@ -96,17 +95,17 @@ def known(wraps):
             id="step of distances",
         ),
         pytest.param(
-            lambda: transport_neighbourhoods(votes_of(FIELD), CUBES, key=STAGE, number=2),
+            lambda: transport_neighbourhoods(votes_of(FIELD), [(0, CUBES)], key=STAGE, number=2),
             id="round",
         ),
         pytest.param(
             lambda: transport_neighbourhoods(
-                votes_of(FIELD), CUBES, key=STAGE, number=3, periodic=MIXED, free=FREE
+                votes_of(FIELD), [(0, CUBES)], key=STAGE, number=3, periodic=MIXED, free=FREE
             ),
             id="round of what is free",
         ),
         pytest.param(
-            lambda: transport_planes(
+            lambda: transport_neighbourhoods(
                 votes_of(FIELD),
                 [(a, SQUARES) for a in range(3)],
                 key=STAGE,
@@ -117,7 +116,7 @@ def known(wraps):
             id="views",
         ),
         pytest.param(
-            lambda: transport_planes(
+            lambda: transport_neighbourhoods(
                 votes_of(FIELD), [(2, SQUARES), (1, SQUARES)], key=STAGE, number=1, free=FREE
             ),
             id="views of what is free",
@@ -147,12 +146,12 @@ def test_scratch_files_change_nothing(run, hands, tmp_path, monkeypatch):
 def test_rounds_are_put_back_batch_by_batch(monkeypatch):
     """However few neighbourhoods at a time: planes of sites, some of their rows, one row."""
     wanted = transport_neighbourhoods(
-        votes_of(FIELD), CUBES, key=STAGE, number=2, periodic=MIXED, free=FREE
+        votes_of(FIELD), [(0, CUBES)], key=STAGE, number=2, periodic=MIXED, free=FREE
     )
     for batch in (1 << 16, 1 << 12, 1):
         monkeypatch.setattr("trabecula.synth.shared.statistics.sites.BATCH", batch)
         found = transport_neighbourhoods(
-            votes_of(FIELD), CUBES, key=STAGE, number=2, periodic=MIXED, free=FREE
+            votes_of(FIELD), [(0, CUBES)], key=STAGE, number=2, periodic=MIXED, free=FREE
         )
         assert np.array_equal(found, wanted)
 
@@ -216,7 +215,7 @@ def test_the_forecast_of_a_step_holds(periodic):
         two_point_step(field, target, periodic=periodic)
     peak = tracemalloc.get_traced_memory()[1] - 2 * field.size
     tracemalloc.stop()
-    forecast = step_bytes(field.shape[1:], target, periodic)
+    forecast = max(stage.peak for stage in step_stages(field.shape[1:], target, periodic))
     assert peak <= forecast <= 1.3 * peak
 
 
@@ -228,23 +227,30 @@ CUBE, SQUARE = (
 )
 
 
+def resident_bytes(stages):
+    return max(stage.working for stage in stages)
+
+
 @pytest.mark.parametrize(
     ("run", "forecast"),
     [
-        (lambda: two_point_step(ALONE, ITS), lambda: step_slab_bytes(ALONE.shape[1:], ITS)),
+        (
+            lambda: two_point_step(ALONE, ITS),
+            lambda: resident_bytes(step_stages(ALONE.shape[1:], ITS)),
+        ),
         (
             lambda: distance_step(ALONE, ITS, Region(ALONE.shape[1:])),
-            lambda: slab_bytes(ALONE.shape[1:], ITS, OPEN),
+            lambda: resident_bytes(distance_stages(ALONE.shape, ITS, OPEN)),
         ),
         (
-            lambda: transport_neighbourhoods(votes_of(ALONE), CUBE, key=STAGE, number=1),
-            lambda: round_bytes(CUBE),
+            lambda: transport_neighbourhoods(votes_of(ALONE), [(0, CUBE)], key=STAGE, number=1),
+            lambda: resident_bytes(transport_stages(ALONE.shape, [(0, CUBE)], step=2)),
         ),
         (
-            lambda: transport_planes(
+            lambda: transport_neighbourhoods(
                 votes_of(ALONE), [(a, SQUARE) for a in range(3)], key=STAGE, number=1, step=1
             ),
-            lambda: round_bytes(SQUARE),
+            lambda: resident_bytes(transport_stages(ALONE.shape, [(0, SQUARE)], step=1)),
         ),
     ],
     ids=["step", "step of distances", "round", "views"],
@@ -274,7 +280,8 @@ def model():
 @pytest.fixture(scope="module")
 def whole(model):
     assert model._makes_new(Request(SHAPE, seed=3))
-    return model.generate(SHAPE, seed=3).values
+    with check_releases():
+        return model.generate(SHAPE, seed=3).values
 
 
 @pytest.mark.whole
@@ -323,7 +330,7 @@ def test_a_layout_goes_on_bit_for_bit(tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint, "_SHARE", 0)
     picture = tb.Image((smooth((1, 40, 40), 8)[0, 0] > 15).astype(np.uint8), "labels")
     model = tb.method("sliced", preset="fast", layout_rounds=5).fit(picture)
-    own, done = run.transport_planes, []
+    own, done = run.transport_neighbourhoods, []
 
     def broken(*parts, **settings):
         done.append(settings["number"])
@@ -336,7 +343,7 @@ def test_a_layout_goes_on_bit_for_bit(tmp_path, monkeypatch):
             return model.generate((16, 16, 16), seed=1).values
 
     whole = made()
-    monkeypatch.setattr(run, "transport_planes", broken)
+    monkeypatch.setattr(run, "transport_neighbourhoods", broken)
     with pytest.raises(KeyboardInterrupt):
         made()
     assert np.array_equal(made(), whole)

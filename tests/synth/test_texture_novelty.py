@@ -64,7 +64,7 @@ def test_a_round_without_strength_gives_back_what_all_components_hold(periodic):
     votes = field.astype(np.int16) * UNIT
     slices = slice_target([field], width=4, variance=1.0, most=64)
     after = transport_neighbourhoods(
-        votes, slices, key=key(0, "s"), number=1, strength=0.0, periodic=periodic
+        votes, [(0, slices)], key=key(0, "s"), number=1, strength=0.0, periodic=periodic
     )
     assert np.abs(after.astype(int) - votes).max() <= 2 * UNIT
 
@@ -80,7 +80,7 @@ def test_rounds_take_on_the_exemplars_neighbourhoods():
     slices = slice_target([exemplar], width=4)
     field = field.astype(np.int16)
     for number in range(15):
-        field = transport_neighbourhoods(field, slices, key=key(0, "s"), number=number)
+        field = transport_neighbourhoods(field, [(0, slices)], key=key(0, "s"), number=number)
     target = correlations_of([exemplar], softness=40, r_max=6)
     found = misfit(np.rint(field / UNIT).astype(np.int8), target)
     assert abs(field.std() / UNIT / exemplar.std() - 1) < 0.1
@@ -94,7 +94,7 @@ def test_only_what_is_free_changes():
     free[3:9, 4:12, :] = True
     votes = field.astype(np.int16) * UNIT
     after = transport_neighbourhoods(
-        votes, slice_target([other], width=4), key=key(0, "s"), number=0, free=free
+        votes, [(0, slice_target([other], width=4))], key=key(0, "s"), number=0, free=free
     )
     assert np.array_equal(after[:, ~free], votes[:, ~free])
     assert np.mean(after[:, free] != votes[:, free]) > 0.9
@@ -115,7 +115,11 @@ def test_threads_change_nothing(periodic):
     for count in (1, 2, 3):
         with tb.threads(count):
             votes = transport_neighbourhoods(
-                field.astype(np.int16) * UNIT, slices, key=key(0, "s"), number=0, periodic=periodic
+                field.astype(np.int16) * UNIT,
+                [(0, slices)],
+                key=key(0, "s"),
+                number=0,
+                periodic=periodic,
             )
             made.append((votes, two_point_step(field, target, periodic=periodic)))
     for votes, steps in made[1:]:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.engine import checkpoint, memmap
+from trabecula.engine.memory import check_releases
 from trabecula.synth.shared.content.histogram import Histogram, match_histogram, mix_with_neighbours
 from trabecula.synth.shared.content.phase_fractions import assign_phases, brightest_voxels
 from trabecula.synth.shared.matching.region import Region, regions_of
@@ -100,7 +101,8 @@ def test_in_slabs_and_at_once_are_the_same(case, bone, tmp_path):
     exemplar = bone if made_of is None else made_of(bone)
     model = tb.method("texture", **{**QUICK, **settings}).fit(exemplar)
     request = tb.Request(SHAPE, seed=3, **parts(exemplar))
-    at_once, _ = model.compute(request)
+    with check_releases():
+        at_once, _ = model.compute(request)
     with tb.threads(2), memmap.map_large_arrays(tmp_path, memory=1 << 20, thickest=3):
         values, _ = model.compute(request)
         assert memmap.file_of(values) is not None

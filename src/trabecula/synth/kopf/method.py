@@ -46,7 +46,7 @@ class KopfRounds(SolidRounds):
         if not self.config.reweighting:
             return None
         views = stage.views
-        excess = histogram_excess(self.votes, views, self.config.reweighting)
+        excess = histogram_excess(self.work["votes"], views, self.config.reweighting)
         return [
             factors_of(view.grid.candidates.stack.field, excess, views.full) for view in views.grids
         ]

@@ -12,14 +12,20 @@ the round's number, so the result does not depend on interruptions.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from trabecula.core.progress import track
+from trabecula.core.request import Request
 from trabecula.engine.checkpoint import Checkpoint, due, offer, resume
+from trabecula.engine.memory import Stage, Workspace
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.matching.grid import Grid
+from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.matching.rounds import join_to_known, match_votes, robust_weights
 from trabecula.synth.shared.pictures import ROOM
 
 _WIDTHS = 2.75  # neighbourhoods that lie side by side in the output on its coarsest level, at least
@@ -50,30 +56,42 @@ StageT = TypeVar("StageT", bound=RoundStage)
 class CoarseToFine(ABC, Generic[StageT]):
     """A run, with the arrays that its rounds replace.
 
-    Every array is held by the run alone, so that a step can drop what the next one does not need
-    before it allocates.
+    Attributes
+    ----------
+    request : Request
+    work : Workspace
+        The declared arrays of the stage; the state between rounds by its names in checkpoints.
     """
+
+    request: Request
+    work = Workspace(())
 
     def run(self) -> None:
         """Go through all stages, or through those that an interrupted run left."""
         first, checkpoint = find_checkpoint(self.names)
-        done = 0 if checkpoint is None else checkpoint.number
-        resumes = checkpoint is not None
-        if checkpoint is not None:
-            self.restore(checkpoint.arrays)
-        del checkpoint
         for place in range(first, len(self.names)):
-            stage = self.open_stage(place)
-            if not resumes:
-                self.enter(stage, place)
-            for number in track(range(done, stage.rounds), stage.label):
-                if self.converges(stage, number):
-                    break
-                self.round(stage, number)
-                if due() and (arrays := self.arrays(stage, number)):
-                    offer(stage.name, number + 1, **arrays)
-            self.leave(stage)
-            resumes, done = False, 0
+            self._run_stage(place, checkpoint)
+            checkpoint = None
+
+    def _run_stage(self, place: int, checkpoint: Checkpoint | None) -> None:
+        """Go through a stage from its beginning, or from a checkpoint."""
+        stage = self.open_stage(place)
+        before, self.work = self.work, Workspace(self.memory(stage))
+        if checkpoint is None:
+            done = 0
+            self.enter(stage, place, before)
+        else:
+            done = checkpoint.number
+            self.restore(stage, checkpoint.arrays)
+            checkpoint.arrays.clear()  # the workspace holds them
+        del before  # the arrays of a coarser grid
+        for number in track(range(done, stage.rounds), stage.label):
+            if self.converges(stage, number):
+                break
+            self.round(stage, number)
+            if due() and (arrays := self.arrays(stage, number)):
+                offer(stage.name, number + 1, **arrays)
+        self.leave(stage)
 
     def round(self, stage: StageT, number: int) -> None:
         """Do round `number` of a stage."""
@@ -91,8 +109,12 @@ class CoarseToFine(ABC, Generic[StageT]):
         """Prepare the grid and the settings of a stage."""
 
     @abstractmethod
-    def enter(self, stage: StageT, place: int) -> None:
-        """Start the arrays at the first stage, or bring them from the one before to this."""
+    def memory(self, stage: StageT) -> Iterable[Stage]:
+        """Declare the arrays of a stage."""
+
+    @abstractmethod
+    def enter(self, stage: StageT, place: int, before: Workspace) -> None:
+        """Start the arrays at the first stage, or make them of those of the one `before`."""
 
     @abstractmethod
     def search(self, stage: StageT, number: int) -> None:
@@ -111,8 +133,48 @@ class CoarseToFine(ABC, Generic[StageT]):
         """Return all that the next round starts from; nothing where no round can follow."""
 
     @abstractmethod
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+    def restore(self, stage: StageT, arrays: dict[str, np.ndarray]) -> None:
         """Take over the arrays of a checkpoint."""
+
+    def open_region(self, name: str, region: Region, active: Mapping[str, np.ndarray]) -> None:
+        """Begin with a stage of this name; hold what stays as it is: the free voxels of a region,
+        the bounds of the known ones, and which sites are active.
+        """
+        self.work.enter(name)
+        parts = {"free": region.free, "low": region.low, "high": region.high, **active}
+        for part, array in parts.items():
+            if array is not None and array is not self.request.mask:  # which is the caller's
+                self.work.adopt(part, array)
+
+    def weigh_matches(
+        self,
+        grid: Grid,
+        found: tuple[np.ndarray, np.ndarray],
+        robustness: float,
+        place: int = 0,
+    ) -> None:
+        """Replace the matches of a grid by those `found` with their distances; weigh them for the
+        next vote.
+        """
+        work = self.work
+        work.enter(f"weigh{place}")
+        work.release(f"match{place}")
+        work.adopt(f"match{place}", found[0])
+        work.adopt("distance", found[1])
+        work.adopt(f"weight{place}", robust_weights(grid, found[1], robustness))
+
+    def join_votes(self, region: Region) -> None:
+        """Remove the step of the votes beside known voxels."""
+        if region.low is not None:
+            self.work.enter("join")
+            join_to_known(region, self.work["votes"])
+
+    def match_field(self, region: Region, targets: tuple[Histogram, ...] | None) -> None:
+        """Make the votes a field with the histograms of the targets."""
+        self.work.enter("match")
+        if "field" in self.work:
+            self.work.release("field")
+        self.work.adopt("field", match_votes(region, self.work["votes"], targets))
 
     def converges(self, stage: StageT, number: int) -> bool:
         """Return whether a stage ends before round `number`."""

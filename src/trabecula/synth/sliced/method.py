@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import prod
 
 import numpy as np
 
@@ -19,8 +18,10 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
+from trabecula.engine.memory import Array, Stage, forecast, resident, within
 from trabecula.exemplar.views import View, spacing_of
-from trabecula.synth.shared.coarse_to_fine import levels_that_fit
+from trabecula.measure.runs import runs_of
+from trabecula.synth.shared.coarse_to_fine import at_level, levels_that_fit
 from trabecula.synth.shared.content.fields import channels_of, mean_edge
 from trabecula.synth.shared.content.kinds import Content, content_of
 from trabecula.synth.shared.matching.principal_components import basis_bytes, principal_basis
@@ -28,20 +29,29 @@ from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.orient import symmetries
 from trabecula.synth.shared.pictures import PictureMethod, PictureModel
 from trabecula.synth.shared.pyramid import fit_to
-from trabecula.synth.shared.solid.forecast import SolidForecast
+from trabecula.synth.shared.slabs import make_by_slabs
 from trabecula.synth.shared.solid.method import PROCESS
-from trabecula.synth.shared.statistics.sliced import round_bytes
-from trabecula.synth.shared.statistics.two_point_steps import step_bytes, step_slab_bytes
+from trabecula.synth.shared.stages import (
+    LevelMemory,
+    bound_stages,
+    layout_stages,
+    region_arrays,
+    usage_bytes,
+    value_stages,
+)
+from trabecula.synth.shared.statistics.sliced import transport_stages
+from trabecula.synth.shared.statistics.two_point_steps import step_stages
 from trabecula.synth.sliced import CAPABILITIES
 from trabecula.synth.sliced.aims import Layout, Pictures, SlicedLevel, subsample
 from trabecula.synth.sliced.config import SlicedConfig
-from trabecula.synth.sliced.domain import regions_around_known, torus_regions
-from trabecula.synth.sliced.run import SlicedRounds
-from trabecula.synth.sliced.specks import remove_specks
+from trabecula.synth.sliced.run import SlicedRounds, regions_around_known, torus_regions
+from trabecula.synth.sliced.steps import distance_stages
 
 _LEAST = 8  # voxels that the result needs along every axis on the level that is laid out
 _SAME = 1e-6
 _AXES = "zyx"
+_OUT = 32000  # a vote that decides
+_FACES = 6  # neighbours share one
 
 
 class Sliced(PictureMethod):
@@ -126,22 +136,17 @@ class SlicedModel(PictureModel):
         return max(_LEAST, self.config.neighbourhood, self.config.layout_width)
 
     def make(self, request: Request) -> np.ndarray:
-        return self._to_values(fit_to(self._votes(request), request.shape), request)
-
-    def _votes(self, request: Request) -> np.ndarray:
-        """Return the last votes alone: the run's other arrays are dropped."""
         rounds = SlicedRounds(self, request, self._regions(request))
         rounds.run()
-        return rounds.votes
+        rounds.work.enter("deliver")
+        return self._to_values(fit_to(rounds.work.take("votes"), request.shape), request)
 
     def _to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
         """Return the result's values from votes of its shape, without specks."""
-        values = self.content.to_values(votes, request)
-        if not self.config.specks:
-            return values
-        present = self.content.present  # type: ignore[attr-defined]
-        votes = remove_specks(votes, values, present, self.config.specks)
-        del values
+        if self.config.specks:
+            present = self.content.present  # type: ignore[attr-defined]
+            values = self.content.to_values
+            votes = remove_specks(votes, values(votes, request), present, self.config.specks)
         return self.content.to_values(votes, request)
 
     def _top(self, request: Request) -> int:
@@ -169,23 +174,15 @@ class SlicedModel(PictureModel):
             top -= 1
 
     def memory(self, request: Request) -> Mapping[str, int]:
-        run = self._forecast(request)
-        return {
-            "interpreter and kernels": PROCESS,
-            "exemplar": self._exemplar_bytes(),
-            "output": max(run.output, self._layout_bytes(request)),
-            "scratch": run.scratch,
-        }
+        return forecast(self._stages(request), self._fixed()).memory
 
     def resident_memory(self, request: Request) -> Mapping[str, int]:
-        run, region = self._forecast(request), self._region(request, 0)
-        moments = [run.slab, step_slab_bytes(run.shape, self.levels[0].correlations, region.wraps)]
-        moments += [round_bytes(slices) for _, slices in self.layouts[self._top(request)].views]
-        return {
-            "interpreter and kernels": PROCESS,
-            "exemplar": self._exemplar_bytes(),
-            "slab": max(moments),
-        }
+        return resident(self._stages(request, mapped=True), self._fixed())
+
+    def _fixed(self) -> dict[str, int]:
+        """Return the bytes that do not depend on the request."""
+        usage = usage_bytes((c for _, c in self.levels[0].views), exact=False)
+        return {"interpreter and kernels": PROCESS, "exemplar": self._exemplar_bytes()} | usage
 
     def _exemplar_bytes(self) -> int:
         """Return the bytes of the pictures' fields and neighbourhoods."""
@@ -202,30 +199,47 @@ class SlicedModel(PictureModel):
             return torus_regions(request, self._top(request), self._least)[index]
         return Region(tuple(-(-side // 2**index) for side in request.shape), request.periodic)
 
-    def _forecast(self, request: Request) -> SolidForecast:
-        """Describe search and vote on the finest level for their forecast."""
-        region, target = self._region(request, 0), self.levels[0].correlations
-        run = SolidForecast(
-            request, region, self.levels[0].views, distances=True, itemsize=1, repeated=True
+    def _stages(self, request: Request, *, mapped: bool = False) -> tuple[Stage, ...]:
+        """Declare the arrays of a run that compete for the peak: of the layout, of the finest
+        level, of known voxels before them, and of the result after them.
+        """
+        top, region = self._top(request), self._region(request, 0)
+        finest = self.level_memory(request, 0, region, mapped=mapped)
+        result = value_stages(
+            request,
+            finest.covered.shape,
+            finest.channels,
+            nbytes=self.output_bytes(request),
+            distances=True,
         )
-        channels = len(self.levels[0].histograms)
-        return replace(
-            run, correcting=step_bytes(run.shape, target, region.wraps) + channels * prod(run.shape)
+        specks = Array((finest.channels, *request.shape), np.int16) if self.config.specks else None
+        return (
+            *bound_stages(request, finest.channels, distances=True),
+            *self.layout_stages(request, self._region(request, top)),
+            *finest.stages(),
+            *within({"votes with specks": specks}, result),
         )
 
-    def _layout_bytes(self, request: Request) -> int:
-        """Forecast sliced rounds: sums in two orders, and components; or steps between them."""
-        top = self._top(request)
-        region, layout = self._region(request, top), self.layouts[top]
-        channels, voxels = len(layout.histograms), prod(region.shape)
-        components = max(slices.basis.vectors.shape[1] for _, slices in layout.views)
-        known = (3 + 4 * channels) * voxels * (request.fixed is not None)
-        rounds = voxels * (14 * channels + 9 + 2 * components) + max(
-            round_bytes(slices) for _, slices in layout.views
-        )
-        return known + max(
-            rounds,
-            5 * channels * voxels + step_bytes(region.shape, layout.correlations, region.wraps),
+    def level_memory(
+        self, request: Request, index: int, region: Region, *, mapped: bool = False
+    ) -> LevelMemory:
+        """Declare search and vote on level `index`, in a region."""
+        config, level = self.config, self.levels[index]
+        memory = LevelMemory(request, region, level.views, sweeps=config.sweeps + 1, mapped=mapped)
+        if not at_level(config.corrections, index):
+            return memory
+        step = distance_stages(memory.volume, level.correlations, region.wraps)
+        return replace(memory, correction=step)
+
+    def layout_stages(self, request: Request, region: Region) -> tuple[Stage, ...]:
+        """Declare the arrays of sliced rounds in a region, and of steps between them."""
+        layout = self.layouts[self._top(request)]
+        volume = (len(layout.histograms), *region.shape)
+        return layout_stages(
+            volume,
+            region_arrays(request, region.shape, volume[0]),
+            transport_stages(volume, layout.views, step=1, known=request.fixed is not None),
+            step_stages(region.shape, layout.correlations, region.wraps),
         )
 
 
@@ -243,3 +257,35 @@ def _bytes_of(field: np.ndarray, index: int, config: SlicedConfig) -> int:
         rows = int(np.prod([side - width + 1 for side in part.shape[2:]]))
         taken += rows * (4 << max(2, (count - 1).bit_length()) if sliced else 2 * count + 12)
     return taken
+
+
+def remove_specks(
+    votes: np.ndarray, values: np.ndarray, present: Sequence[int], least: int
+) -> np.ndarray:
+    """Return votes that no longer give `values` their connected components of fewer than `least`
+    voxels.
+
+    Parameters
+    ----------
+    votes : (C, Z, Y, X) int16
+        Of one channel, whose sign tells two phases apart, or of one for each phase.
+    values : (Z, Y, X) uint8
+        The labels that the votes gave.
+    present : sequence of int
+        The labels that there are, in the order of the channels.
+    least : int
+        Voxels that a component of a phase needs to stay.
+
+    Returns
+    -------
+    (C, Z, Y, X) int16
+    """
+    result = make_by_slabs(lambda a, b: votes[:, a:b], votes.shape, votes.dtype)
+    for place, label in enumerate(present):
+        runs = runs_of(values, np.arange(256) == label, _FACES)
+        small = runs.sizes < least
+        if len(present) == 2:
+            runs.write(result[0], small, -_OUT if place else _OUT)
+        else:
+            runs.write(result[place], small, -_OUT)
+    return result

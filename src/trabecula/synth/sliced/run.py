@@ -6,6 +6,7 @@ function follow every third sliced round, and every vote.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,16 +14,21 @@ import numpy as np
 
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
+from trabecula.engine import memmap
+from trabecula.engine.memory import Stage, Workspace
+from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.coarse_to_fine import RoundStage, at_level
-from trabecula.synth.shared.content.fields import noise, votes_of
+from trabecula.synth.shared.content.bounds import Bounds
+from trabecula.synth.shared.content.fields import noise, quantise, votes_of
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import coherent_search, targets_of
-from trabecula.synth.shared.matching.planes import RegionViews, cast_plane_votes
+from trabecula.synth.shared.matching.planes import RegionViews
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.rounds import join_to_known, match_votes, refine_field
+from trabecula.synth.shared.matching.rounds import refine_field
 from trabecula.synth.shared.pyramid import fit_to
+from trabecula.synth.shared.slabs import complement
 from trabecula.synth.shared.solid.run import ViewRounds, ViewStage
-from trabecula.synth.shared.statistics.sliced import transport_planes
+from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods
 from trabecula.synth.shared.statistics.two_point import Correlations
 from trabecula.synth.shared.statistics.two_point_steps import two_point_step
 from trabecula.synth.sliced.aims import Layout, reweight_target
@@ -112,24 +118,31 @@ class SlicedRounds(ViewRounds[Any]):
             at_level(config.corrections, index),
         )
 
-    def enter(self, stage: LayoutStage | SlicedStage, place: int) -> None:
+    def memory(self, stage: LayoutStage | SlicedStage) -> Iterable[Stage]:
+        """Declare the arrays of the layout, or of a level."""
+        if isinstance(stage, LayoutStage):
+            return self.model.layout_stages(self.request, stage.region)
+        return self.model.level_memory(self.request, stage.index, stage.views.region).stages()
+
+    def enter(self, stage: LayoutStage | SlicedStage, place: int, before: Workspace) -> None:
         """Start from noise, or bring the field to a level and its matches to random patches."""
+        work = self.work
         if isinstance(stage, LayoutStage):
             shape = (len(stage.targets), *stage.region.shape)
-            self.field = match_votes(
-                stage.region,
-                noise(shape, int(key(self.request.seed, "sliced/noise"))),
-                stage.targets,
-            )
+            work.enter("match")
+            work.adopt("votes", noise(shape, int(key(self.request.seed, "sliced/noise"))))
+            self.match_field(stage.region, stage.targets)
             return
-        region = stage.views.region
-        self.field = region.clip_to_bounds(
-            refine_field(self.field, region.wraps, distances=True, shape=region.shape)
+        self.open_level(stage)
+        region, coarse = stage.views.region, before["field"]
+        field = work.adopt(
+            "field",
+            refine_field(coarse, region.wraps, distances=True, shape=region.shape)
             if stage.index < self.top
-            else fit_to(self.field, region.shape)
+            else fit_to(coarse, region.shape),
         )
+        work.adopt("votes", votes_of(region.clip_to_bounds(field)))
         self.start_matches(stage)
-        self.votes = votes_of(self.field)
 
     def round(self, stage: LayoutStage | SlicedStage, number: int) -> None:
         """Do a sliced round of the layout, or a round of search and vote."""
@@ -140,38 +153,43 @@ class SlicedRounds(ViewRounds[Any]):
 
     def _lay_out(self, stage: LayoutStage, number: int) -> None:
         """Move the planes' neighbourhoods towards the pictures', sometimes with steps after it."""
-        region = stage.region
-        self.field = match_votes(
-            region,
-            transport_planes(
-                votes_of(self.field),
+        region, work = stage.region, self.work
+        settings: dict[str, Any] = {"periodic": region.wraps, "free": region.free}
+        work.enter("match")
+        if "votes" in work:
+            work.release("votes")
+        work.adopt("votes", votes_of(work["field"]))
+        work.enter("transport")
+        work.adopt(
+            "moved",
+            transport_neighbourhoods(
+                work["votes"],
                 stage.layout.views,
                 key=key(self.request.seed, "sliced/layout"),
                 number=number,
                 step=1,
                 strength=self.config.strength,
-                periodic=region.wraps,
-                free=region.free,
+                **settings,
             ),
-            stage.targets,
         )
-        if (number + 1) % _STEP_EVERY == 0:
-            for _ in range(self.config.layout_steps):
-                votes = two_point_step(
-                    self.field, stage.correlations, periodic=region.wraps, free=region.free
-                )
-                self.field = match_votes(region, votes, stage.targets)
-                del votes
+        work.release("votes")
+        work.adopt("votes", work.take("moved"))
+        self.match_field(region, stage.targets)
+        steps = self.config.layout_steps if (number + 1) % _STEP_EVERY == 0 else 0
+        for _ in range(steps):
+            work.release("votes")
+            work.adopt("votes", two_point_step(work["field"], stage.correlations, **settings))
+            self.match_field(region, stage.targets)
 
     def find_matches(
-        self, stage: SlicedStage, place: int, number: int
+        self, stage: SlicedStage, place: int, number: int, field: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Find new matches, and their distances, in one view."""
+        """Find new matches, and their distances, in one view of the field, its axis first."""
         config, view = self.config, stage.views.grids[place]
         return coherent_search(
             view.grid,
-            self.matches[place],
-            view.put_axis_first(self.field),
+            self.work[f"match{place}"],
+            field,
             stage=stage.stage + np.uint64(place),
             first=1 if number == 0 else 1 + config.sweeps * (_FIRST + number - 1),
             count=config.sweeps * (_FIRST if number == 0 else 1),
@@ -181,22 +199,101 @@ class SlicedRounds(ViewRounds[Any]):
 
     def vote(self, stage: SlicedStage, number: int) -> None:
         """Make the field that the matches vote for."""
-        views = stage.views
-        self.votes = join_to_known(
-            views.region, cast_plane_votes(views, self.matches, self.weights)
-        )
-        self.weights = []
-        self.field = match_votes(views.region, self.votes, views.targets)
+        self.cast(stage)
+        self.match_field(stage.views.region, stage.views.targets)
 
     def correct(self, stage: SlicedStage, number: int) -> None:
         """Take steps on the two-point function of the phases."""
-        views = stage.views
+        views, work = stage.views, self.work
         for _ in range(stage.steps):
-            self.votes = distance_step(self.field, stage.target, views.region)
-            self.field = match_votes(views.region, self.votes, views.targets)
+            work.enter("rest")
+            work.release("votes")
+            work.adopt("votes", distance_step(work["field"], stage.target, views.region))
+            self.match_field(views.region, views.targets)
 
     def arrays(self, stage: LayoutStage | SlicedStage, number: int) -> dict[str, np.ndarray]:
         """Return all that the next round starts from."""
         if isinstance(stage, LayoutStage):
-            return {"field": self.field}
+            return {"field": self.work["field"]}
         return super().arrays(stage, number)
+
+    def restore(self, stage: LayoutStage | SlicedStage, arrays: dict[str, np.ndarray]) -> None:
+        """Take over the arrays of a checkpoint."""
+        if isinstance(stage, LayoutStage):
+            self.work.enter("rest")
+            self.work.adopt("field", arrays["field"])
+        else:
+            super().restore(stage, arrays)
+
+
+def torus_regions(request: Request, top: int, least: int) -> list[Region]:
+    """Return the regions of levels 0 .. `top`; an open axis is continued to whole voxels of the
+    coarsest, `least` of them at least.
+    """
+    whole = [max(least, -(-side // 2**top)) for side in request.shape]
+    regions = []
+    for index in range(top + 1):
+        sides = tuple(
+            -(-side // 2**index) if wraps else coarse * 2 ** (top - index)
+            for side, coarse, wraps in zip(request.shape, whole, request.periodic, strict=True)
+        )
+        regions.append(Region(sides, (True, True, True)))
+    return regions
+
+
+def regions_around_known(
+    request: Request, bounds: Bounds, top: int, clip_of: Callable[[int], float], *, exact: bool
+) -> list[Region]:
+    """Return the regions of levels 0 .. `top` around known voxels, whose field is within `bounds`.
+
+    A coarser voxel is known where any of its voxels is, with their mean: a single slice would
+    vanish in a mean over all of them. `clip_of(index)` is the distance in voxels of the result at
+    which a level saturates; `exact` says whether level 0 holds the bounds themselves rather than
+    such a mean.
+    """
+    assert request.known is not None  # checked by the request
+    regions = []
+    for index in range(top + 1):
+        if index == 0 and exact:
+            least, most = (quantise(bound, clip=clip_of(0)) for bound in bounds)
+            regions.append(
+                Region(request.shape, request.periodic, complement(request.known), least, most)
+            )
+        else:
+            regions.append(
+                _coarse(request.known, bounds, 2**index, clip_of(index), request.periodic)
+            )
+    return regions
+
+
+def _coarse(
+    known: np.ndarray, bounds: Bounds, side: int, clip: float, wraps: tuple[bool, ...]
+) -> Region:
+    """Return the region of voxels `side` times as long."""
+    low, high = bounds
+    shape = tuple(-(-count // side) for count in known.shape)
+    free = memmap.empty(shape, bool)
+    least, most = (memmap.empty((len(low), *shape), np.int8) for _ in range(2))
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            planes = slice(z * side, (z + 1) * side)
+            here, below = known[planes], low[:, planes]
+            above = high[:, planes]
+            depth = np.where(here, np.where(below > 0, above, below), np.float32(0))
+            counts = _blocks(here[None].astype(np.float32), side)
+            sums = _blocks(depth, side)[:, 0] / np.maximum(counts[:, 0], 1)
+            mean = np.stack([quantise(channel, clip=clip) for channel in sums])
+            free[z] = counts[0, 0] == 0
+            least[:, z] = np.where(free[z], np.int8(-127), mean)
+            most[:, z] = np.where(free[z], np.int8(127), mean)
+
+    for_slabs(work, shape[0])
+    return Region(shape, wraps, free, least, most)
+
+
+def _blocks(values: np.ndarray, side: int) -> np.ndarray:
+    """Sum (C, Z, Y, X) over blocks; beyond the end nothing counts."""
+    padded = np.pad(values, [(0, 0)] + [(0, -count % side) for count in values.shape[1:]])
+    z, y, x = (count // side for count in padded.shape[1:])
+    return np.asarray(padded.reshape(len(values), z, side, y, side, x, side).sum(axis=(2, 4, 6)))

@@ -15,11 +15,12 @@ from functools import partial
 import numpy as np
 
 from trabecula.engine import memmap
+from trabecula.engine.memory import Array, Stage, within
 from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.synth.shared.content.fields import FULL, UNIT
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.statistics.two_point import Correlations
-from trabecula.synth.shared.statistics.two_point_steps import step_slab_bytes, two_point_step
+from trabecula.synth.shared.statistics.two_point_steps import step_stages, two_point_step
 
 FAR = 4.0
 """Voxels at which distances saturate here."""
@@ -53,10 +54,16 @@ def distance_step(field: np.ndarray, target: Correlations, region: Region) -> np
     return votes
 
 
-def slab_bytes(shape: Sequence[int], target: Correlations, periodic: Sequence[bool]) -> int:
-    """Forecast the memory of `distance_step` where arrays are memory-mapped."""
-    planes = thread_count() * 48 * (_few(shape) + 2) * shape[1] * shape[2]
-    return max(planes, step_slab_bytes(shape, target, periodic))
+def distance_stages(
+    shape: Sequence[int], target: Correlations, periodic: Sequence[bool]
+) -> tuple[Stage, ...]:
+    """Declare the arrays of `distance_step` beside the field (C, Z, Y, X) and the votes."""
+    held = {"distance": Array(shape, np.int8)}
+    planes = thread_count() * 48 * (_few(shape[1:]) + 2) * shape[2] * shape[3]
+    return (
+        Stage("divide by the slope", held, planes),
+        *within(held, step_stages(shape[1:], target, periodic)),
+    )
 
 
 def _few(shape: Sequence[int]) -> int:

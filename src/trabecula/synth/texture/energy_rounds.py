@@ -1,20 +1,21 @@
 """The paper's vote of one round: both terms of equation (1), the weights of equation (2), and the
 energy's trace.
 
-The plain vote of `optimise` is the special case without a gradient term, with weights from the
-distances of features.
+The plain vote is the special case without a gradient term, with weights from the distances of
+features.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from trabecula.engine import memmap
+from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.shared.matching.grid import Grid, wrap_field
 from trabecula.synth.texture.config import TextureConfig
@@ -26,10 +27,18 @@ from trabecula.synth.texture.energy import (
     mismatch,
     total,
 )
-from trabecula.synth.texture.gradient import GradientVotes, add_votes, empty_votes, fold_votes
+from trabecula.synth.texture.gradient import (
+    GradientVotes,
+    add_votes,
+    empty_votes,
+    fold_votes,
+    vote_arrays,
+)
 from trabecula.synth.texture.poisson import solve_votes
 
 _UNIT = 64  # the integer weight that stands for 1
+_FLOATS = 120  # bytes of a site whose energies are numbers of Python
+_SUMS = 6  # bytes of a voxel of the exemplar, of its gradients
 
 
 @dataclass(frozen=True)
@@ -59,21 +68,32 @@ class Balance:
         return [asdict(round_) for round_ in self.feedback.trace]
 
 
-def round_bytes(voxels: int, sites: int, *, channels: int) -> int:
-    """Forecast the memory of a round on so many covered voxels: the votes, the solver's arrays, the
-    state before.
+def energy_stages(
+    exemplar: np.ndarray, shape: Sequence[int], sites: Sequence[int], reach: Sequence[int]
+) -> tuple[Stage, ...]:
+    """Declare the arrays of `energy_vote` beside field and matches.
+
+    Parameters
+    ----------
+    exemplar : (C, z, y, x) int8
+    shape, sites, reach : three int
+        Voxels of the field, sites, and voxels that these cover; axes that wrap are counted on.
     """
-    return voxels * (13 * channels + 30) + 16 * sites
-
-
-def slab_bytes(plane: int, sites: int, *, width: int, channels: int) -> int:
-    """Forecast a thread's memory in a round whose arrays are memory-mapped: some planes, of `plane`
-    voxels and `sites` sites.
-
-    A plane of sites reads `width` planes of the field; numbers of its energies are added as those
-    of Python.
-    """
-    return plane * (2 * width * channels + 20 * channels + 60) + 120 * sites
+    channels, wraps = len(exemplar), tuple(shape) != tuple(reach)
+    held = {"weights": Array(sites, np.int32), "solved": Array((channels, *shape), np.int16)}
+    squared = {
+        "squared": Array((2, *sites), np.float64),
+        "grown": Array((channels, *reach), np.int16) if wraps else None,
+    }
+    sums, around = vote_arrays(shape, channels), vote_arrays(reach, channels) if wraps else {}
+    unfolded = {f"unfolded {name}": array for name, array in around.items()}
+    solver = ("solution", "inverse", "rest", "along", "image")
+    solving = {name: Array(shape, np.float32) for name in solver}
+    return (
+        Stage("evaluate", {**held, **squared}, _FLOATS * sites[1] * sites[2]),
+        Stage("fold", {**held, **sums, **unfolded}, _SUMS * exemplar.size),
+        Stage("solve", {**held, **sums, **solving}),
+    )
 
 
 def energy_vote(
@@ -96,22 +116,34 @@ def energy_vote(
         "width": candidates.basis.width,
     }
     exemplar = candidates.stack.field
-    squared, _ = mismatch(
-        wrap_field(grid, field), exemplar, match, gradient=False, active=grid.active, **where
+    work = Workspace(energy_stages(exemplar, field.shape[1:], grid.shape, grid.reach))
+    work.enter("evaluate")
+    work.adopt(
+        "squared",
+        mismatch(
+            wrap_field(grid, field), exemplar, match, gradient=False, active=grid.active, **where
+        ),
     )
     floor = float(len(exemplar) * candidates.basis.width**3)  # one unit of the field per voxel
-    reference = balance.reference or math.sqrt(_mean(squared, grid.active) + floor)
+    reference = balance.reference or math.sqrt(_mean(work["squared"][0], grid.active) + floor)
     settings = {"robustness": config.robustness, "reference": reference, "floor": floor}
-    weights = _weights(squared, grid.active, settings)
-    del squared
+    weights = work.adopt("weights", _weights(work["squared"][0], grid.active, settings))
+    work.enter("solve")
     scale = balance.feedback.scale
     # lambda W + mu L = lambda (W + (mu / lambda) L): only their ratio moves the field.
-    solved = solve_votes(
-        fold_votes(_cast(grid, match, weights, where, trim), field.shape[1:]),
-        mu=config.gradient / scale,
-        unit=_UNIT,
+    solved = work.adopt(
+        "solved",
+        solve_votes(
+            fold_votes(_cast(grid, match, weights, where, trim), field.shape[1:]),
+            mu=config.gradient / scale,
+            unit=_UNIT,
+        ),
     )
-    after = mismatch(wrap_field(grid, solved), exemplar, match, active=grid.active, **where)
+    work.enter("evaluate")
+    after = work.adopt(
+        "squared",
+        mismatch(wrap_field(grid, solved), exemplar, match, active=grid.active, **where),
+    )
     found = energy(after[0], after[1], weights, mu=config.gradient, unit=scale / _UNIT, **settings)
     return solved, Balance(balance.feedback.after(found), reference)
 

@@ -1,13 +1,13 @@
 """Search and vote from random patches to the finest level: the paper's way, and `novelty` 0.
 
-The votes are made into the field and dropped; only the very last ones are kept, of which no field
-is made.
+The votes are made into the field and freed; only the very last ones are kept, of which no field is
+made.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
+from trabecula.engine.memory import Stage, Workspace, within
 from trabecula.synth.shared.coarse_to_fine import CoarseToFine, RoundStage, at_level, trim_schedule
 from trabecula.synth.shared.matching.grid import (
     Grid,
@@ -23,22 +24,28 @@ from trabecula.synth.shared.matching.grid import (
     features_of,
     random_matches,
 )
+from trabecula.synth.shared.matching.neighbourhoods import grid_reach
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.rounds import (
-    cast_votes,
-    equal_weights,
-    join_to_known,
-    match_votes,
-    refine_field,
-    robust_weights,
-)
+from trabecula.synth.shared.matching.rounds import cast_votes, equal_weights, refine_field
 from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
 from trabecula.synth.shared.pyramid import fit_to
+from trabecula.synth.shared.stages import LevelMemory
 from trabecula.synth.shared.statistics.two_point import Correlations
-from trabecula.synth.shared.statistics.two_point_steps import accumulate_debt, two_point_step
+from trabecula.synth.shared.statistics.two_point_steps import (
+    accumulate_debt,
+    step_stages,
+    two_point_step,
+)
 from trabecula.synth.texture.config import TextureConfig
-from trabecula.synth.texture.energy_rounds import Balance, energy_vote
-from trabecula.synth.texture.graded import FractionTarget, guide_grid, settle_fractions
+from trabecula.synth.texture.energy_rounds import Balance, energy_stages, energy_vote
+from trabecula.synth.texture.graded import (
+    FractionTarget,
+    fraction_arrays,
+    guide_grid,
+    settle_fractions,
+    settle_stages,
+    shift_stages,
+)
 
 # a coarsest level at less than this scale is too large for neighbourhoods at every voxel
 _SPARSE_BELOW = 4
@@ -61,6 +68,57 @@ def level_of(stack: Stack, index: int, config: TextureConfig, *, distances: bool
         )
         for width in config.neighbourhood
     )
+
+
+def target_of(
+    index: int, request: Request, config: TextureConfig, targets: Sequence[Correlations]
+) -> Correlations | None:
+    """Return the target of steps on the two-point function of a level; None where there are
+    none.
+    """
+    even = request.fixed is None and not request.target and not config.energetic
+    stepped = even and index < len(targets) and at_level(config.corrections, index)
+    return targets[index] if stepped else None
+
+
+def grid_stages(
+    request: Request,
+    region: Region,
+    candidates: Candidates,
+    config: TextureConfig,
+    target: Correlations | None,
+    *,
+    refit: bool,
+    mapped: bool = False,
+) -> tuple[Stage, ...]:
+    """Declare the arrays of a grid, with steps towards a target; `refit` says whether it follows
+    another on its level.
+    """
+    level = LevelMemory(
+        request,
+        region,
+        [(0, candidates)],
+        sweeps=config.sweeps,
+        exact=config.search == "exact",
+        votes_rest=False,
+        refit=refit,
+        mapped=mapped,
+    )
+    shape, (sites,) = level.covered.shape, level.grids
+    if request.target:
+        level = replace(level, guides=1, held=fraction_arrays(shape, sites))
+    if target is not None:
+        level = replace(level, correction=step_stages(shape, target, region.wraps))
+    rest, base = level.rest, {**level.base, **level.votes}
+    stages = list(level.stages())
+    if config.energetic:
+        box, steps = candidates.basis.box, candidates.steps
+        reach = grid_reach(sites, box=box, steps=steps)
+        stages += within(rest, energy_stages(candidates.stack.field, shape, sites, reach))
+    if request.target:
+        stages += within({**rest, "shifted": rest["field"]}, shift_stages(shape))
+        stages += within(base, settle_stages(shape))
+    return tuple(stages)
 
 
 @dataclass(frozen=True)
@@ -97,30 +155,23 @@ class GridStage(RoundStage):
 
 
 class ExemplarRounds(CoarseToFine[GridStage]):
-    """A run from random patches.
+    """A run from random patches, on the arrays that `grid_stages` declares.
 
     Parameters
     ----------
     levels, regions
-        As many levels of the exemplar and of the output, finest first.
+        As many levels of the exemplar and of the output, finest first; each region is dropped once
+        its last stage has begun, so are the fractions.
     request, config
     distances : bool
         Whether fields are smooth.
     targets : sequence of Correlations
         One a level, where `corrections` of the config step towards them.
-    fractions : sequence of (Z, Y, X) float32
+    fractions : list of (Z, Y, X) float32
         One a level, where the request has a target (`graded`).
 
     Attributes
     ----------
-    match : (sz, sy, sx) int32
-        The candidate of each site.
-    field : (C, Z, Y, X) int8
-        The field that the matches voted for; None while votes are cast, and at the end.
-    weights : (sz, sy, sx) int32
-        Of the next vote; None between rounds.
-    votes : (C, Z, Y, X) int16
-        The last ones, 256 times the weighted mean; None before.
     debt : (C, K), optional
         Misfit of the two-point functions that the next steps make up for.
     balance : Balance, optional
@@ -132,22 +183,19 @@ class ExemplarRounds(CoarseToFine[GridStage]):
     def __init__(
         self,
         levels: Sequence[Level],
-        regions: Sequence[Region],
+        regions: list[Region],
         request: Request,
         config: TextureConfig,
         *,
         distances: bool,
-        targets: Sequence[Correlations] = (),
-        fractions: Sequence[np.ndarray] = (),
+        targets: Sequence[Correlations],
+        fractions: list[np.ndarray],
     ) -> None:
         self.levels, self.regions = levels, regions
         self.request, self.config = request, config
         self.distances = distances
         self.targets, self.fractions = targets, fractions
-        self.match: np.ndarray | None = None
-        self.field: np.ndarray | None = None
-        self.weights: np.ndarray | None = None
-        self.votes: np.ndarray | None = None
+        self.graded = bool(fractions)
         self.debt: np.ndarray | None = None
         self.balance: Balance | None = None
         self.energies: list[dict[str, Any]] = []
@@ -158,7 +206,7 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         """List the level and the place of the width of every stage, in their order."""
         return [
             (index, number)
-            for index in reversed(range(len(self.regions)))
+            for index in reversed(range(len(self.levels)))
             for number in range(len(self.levels[index]))
         ]
 
@@ -170,20 +218,21 @@ class ExemplarRounds(CoarseToFine[GridStage]):
     def open_stage(self, place: int) -> GridStage:
         """Prepare the grid of a stage."""
         index, number = self.places[place]
-        config, used = self.config, len(self.regions)
+        config, used = self.config, len(self.levels)
         candidates, coarsest = self.levels[index][number], index == used - 1
         if coarsest and 2**index >= _SPARSE_BELOW and config.step:
             candidates = replace(candidates, step=1)
         grid, fractions = Grid.over(self.regions[index], candidates), None
-        if self.fractions:
+        if self.graded:
             grid, fractions = guide_grid(grid, self.fractions[index], index)
+        needed = index + (number < len(self.levels[index]) - 1)
+        del self.regions[needed:], self.fractions[needed:]
         rounds = config.first_rounds if coarsest else at_level(config.rounds, index)
         grain = not self.distances and config.field != "indicator" and not config.energetic
         trims = trim_schedule(
             rounds, config.trim, width=candidates.basis.width, step=candidates.step, grain=grain
         )
-        even = self.request.fixed is None and not self.fractions and not config.energetic
-        target = self.targets[index] if index < len(self.targets) and even else None
+        target = target_of(index, self.request, config, self.targets)
         return GridStage(
             self.names[place],
             f"level {used - index} of {used}",
@@ -194,48 +243,50 @@ class ExemplarRounds(CoarseToFine[GridStage]):
             key(self.request.seed, f"texture/{index}" + (f"/{number}" if number else "")),
             trims if index == 0 else [0] * rounds,
             target,
-            at_level(config.corrections, index) if target else 0,
+            at_level(config.corrections, index),
             fractions,
             place == len(self.places) - 1,
         )
 
-    def enter(self, stage: GridStage, place: int) -> None:
+    def memory(self, stage: GridStage) -> Iterable[Stage]:
+        """Declare the arrays of a stage."""
+        candidates, region = stage.grid.candidates, stage.grid.region
+        return grid_stages(
+            self.request, region, candidates, self.config, stage.target, refit=stage.number > 0
+        )
+
+    def enter(self, stage: GridStage, place: int, before: Workspace) -> None:
         """Start from random patches of the same weight, or bring field and matches to this grid."""
-        grid = stage.grid
-        if self._before is None:
-            self.match = random_matches(grid, stage.stage)
-            votes = join_to_known(
-                grid.region, cast_votes(grid, self.match, equal_weights(grid.active))
-            )
-            self._use_votes(stage, votes, histogram=True, last=False)
-        else:
-            self._refine(stage, self._before, finer=stage.number == 0)
+        grid, work = stage.grid, self.work
+        self._open(stage)
         self.balance = Balance.at_first(self.config, stage.rounds)
-
-    def _refine(self, stage: GridStage, before: Candidates, *, finer: bool) -> None:
-        """Bring the field to the next grid (a distance doubles too), and move the matches along."""
-        assert self.field is not None  # a stage that is not the last leaves it
-        region, (old, self.field) = stage.grid.region, (self.field, None)
-        fitted = (
-            refine_field(old, region.wraps, distances=self.distances, shape=region.shape)
-            if finer
-            else fit_to(old, region.shape)
-        )
-        del old
-        self.field = region.clip_to_bounds(fitted)
-        self.match = carry_matches(
-            self._matches,
-            before,
-            stage.grid.candidates,
-            stage.grid.shape,
-            factor=2 if finer else 1,
-        )
         self.debt = None
+        if self._before is None:
+            work.adopt("match0", random_matches(grid, stage.stage))
+            work.adopt("weight0", equal_weights(grid.active))
+            self._cast(grid, trim=0)
+            self._use_votes(stage, histogram=True, last=False)
+            return
+        finer, region = stage.number == 0, grid.region
+        fitted = (
+            refine_field(
+                before["field"], region.wraps, distances=self.distances, shape=region.shape
+            )
+            if finer
+            else fit_to(before["field"], region.shape)
+        )
+        work.adopt("field", region.clip_to_bounds(fitted))
+        carried = carry_matches(
+            before["match0"], self._before, grid.candidates, grid.shape, factor=2 if finer else 1
+        )
+        work.adopt("match0", carried)
 
-    @property
-    def _matches(self) -> np.ndarray:
-        assert self.match is not None  # from the start on
-        return self.match
+    def _open(self, stage: GridStage) -> None:
+        """Hold the arrays of a stage that stay as they are."""
+        target = stage.fractions
+        guides = {} if target is None else {"wanted": target.wanted, "counted": target.counted}
+        guides |= {} if stage.grid.guide is None else {"guide": stage.grid.guide}
+        self.open_region("start", stage.grid.region, {"active0": stage.grid.active, **guides})
 
     def converges(self, stage: GridStage, number: int) -> bool:
         """Return whether the energy has settled."""
@@ -244,90 +295,90 @@ class ExemplarRounds(CoarseToFine[GridStage]):
 
     def search(self, stage: GridStage, number: int) -> None:
         """Find a new match for every site, and what it weighs in the vote."""
-        distance = self._find_matches(stage, number)
-        if not self.config.energetic:
-            self.weights = robust_weights(stage.grid, distance, self.config.robustness)
+        self.work.enter("search0")
+        self.weigh_matches(stage.grid, self._find_matches(stage, number), self.config.robustness)
 
-    def _find_matches(self, stage: GridStage, number: int) -> np.ndarray:
-        """Find a new match for every site; return their distances."""
-        assert self.field is not None
-        config, grid = self.config, stage.grid
+    def _find_matches(self, stage: GridStage, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Find a new match for every site, and their distances."""
+        config, grid, match, field = (
+            self.config,
+            stage.grid,
+            self.work["match0"],
+            self.work["field"],
+        )
         if config.search == "exact":
-            features = features_of(grid, self.field)
-            self.match, distance = exact_search(
-                grid, self._matches, features, index_penalty=config.index_penalty
-            )
-            return distance
-        self.match, distance = coherent_search(
+            features = features_of(grid, field)
+            return exact_search(grid, match, features, index_penalty=config.index_penalty)
+        return coherent_search(
             grid,
-            self._matches,
-            self.field,
+            match,
+            field,
             stage=stage.stage,
             first=number * config.sweeps + 1,
             count=config.sweeps,
             tries=config.tries,
             index_penalty=config.index_penalty,
         )
-        return distance
 
     def vote(self, stage: GridStage, number: int) -> None:
         """Make the field that the matches vote for."""
-        grid, trim = stage.grid, stage.trims[number]
-        last = number == stage.rounds - 1
+        trim, last = stage.trims[number], number == stage.rounds - 1
         if self.config.energetic:
-            assert self.field is not None and self.balance is not None
-            votes, self.balance = energy_vote(
-                grid, self.field, self._matches, self.balance, self.config, trim=trim
-            )
-            self.field = None
-            last = last or self.balance.feedback.is_over
+            last = self._cast_by_energy(stage.grid, trim) or last
         else:
-            assert self.weights is not None
-            self.field = None
-            votes = cast_votes(grid, self._matches, self.weights, trim=trim)
-            self.weights = None
-        votes = join_to_known(grid.region, votes)
-        self._use_votes(
-            stage, votes, histogram=self.config.histogram, last=last and not stage.steps
-        )
+            self._cast(stage.grid, trim)
+        self._use_votes(stage, histogram=self.config.histogram, last=last and stage.target is None)
 
-    def _use_votes(
-        self, stage: GridStage, votes: np.ndarray, *, histogram: bool, last: bool
-    ) -> None:
-        """Make votes a field with the histogram, or with the volume fractions that are required;
-        keep the very last ones.
+    def _cast(self, grid: Grid, trim: int) -> None:
+        """Cast the votes of the weighed matches."""
+        work = self.work
+        work.enter("vote")
+        work.adopt("votes", cast_votes(grid, work["match0"], work["weight0"], trim=trim))
+        self.join_votes(grid.region)
+
+    def _cast_by_energy(self, grid: Grid, trim: int) -> bool:
+        """Cast the votes of equation (1); return whether the energy has settled."""
+        work = self.work
+        assert self.balance is not None
+        work.enter("match")
+        votes, self.balance = energy_vote(
+            grid, work["field"], work["match0"], self.balance, self.config, trim=trim
+        )
+        work.adopt("votes", votes)
+        work.release("field")
+        self.join_votes(grid.region)
+        return self.balance.feedback.is_over
+
+    def _use_votes(self, stage: GridStage, *, histogram: bool, last: bool) -> None:
+        """Make the votes a field with the histogram, or with the volume fractions that are
+        required; keep the very last ones.
         """
         if stage.last and last:
-            self.votes = votes
             return
-        region = stage.grid.region
-        field = match_votes(region, votes, stage.grid.targets if histogram else None)
+        work, region = self.work, stage.grid.region
+        self.match_field(region, stage.grid.targets if histogram else None)
         if stage.fractions is not None:
-            field = region.clip_to_bounds(stage.fractions.shift_field(field))
-        self.field = field
+            work.enter("shift")
+            work.adopt("shifted", stage.fractions.shift_field(work["field"]))
+            work.release("field")
+            work.adopt("field", region.clip_to_bounds(work.take("shifted")))
+        work.enter("rest")
 
     def correct(self, stage: GridStage, number: int) -> None:
         """Take steps on the two-point function of the free voxels."""
-        target, region = stage.target, stage.grid.region
-        if target is None or not stage.steps:
+        target, region, work = stage.target, stage.grid.region, self.work
+        if target is None:
             return
-        assert self.field is not None
+        settings: dict[str, Any] = {"periodic": region.wraps, "free": region.free}
         last = number == stage.rounds - 1
-        self.debt = (
-            None  # no later vote takes anything back
-            if stage.index == 0 and last
-            else accumulate_debt(
-                self.debt, self.field, target, periodic=region.wraps, free=region.free
-            )
-        )
+        # after the last one no later vote takes anything back
+        over = stage.index == 0 and last
+        self.debt = None if over else accumulate_debt(self.debt, work["field"], target, **settings)
         for step in range(stage.steps):
-            before, self.field = self.field, None
-            assert before is not None  # the step before was not the last
-            votes = two_point_step(
-                before, target, debt=self.debt, periodic=region.wraps, free=region.free
-            )
-            del before
-            self._use_votes(stage, votes, histogram=True, last=last and step == stage.steps - 1)
+            work.enter("match")
+            work.adopt("votes", two_point_step(work["field"], target, debt=self.debt, **settings))
+            work.release("field")
+            self._use_votes(stage, histogram=True, last=last and step == stage.steps - 1)
 
     def leave(self, stage: GridStage) -> None:
         """Report the energies; at the end settle the volume fractions."""
@@ -338,26 +389,28 @@ class ExemplarRounds(CoarseToFine[GridStage]):
                 {"level": stage.index, "width": self._before.basis.width, "energy": trace}
             )
         if stage.last and stage.fractions is not None:
-            assert self.votes is not None
-            self.votes = settle_fractions(self.votes, stage.fractions)
+            work = self.work
+            work.enter("settle")
+            work.adopt("settled", settle_fractions(work["votes"], stage.fractions))
+            work.release("votes")
+            work.adopt("votes", work.take("settled"))
 
     def arrays(self, stage: GridStage, number: int) -> dict[str, np.ndarray]:
         """Return all that the next round starts from; nothing after the last one."""
-        if self.field is None or self.balance is None:
+        if "field" not in self.work or self.balance is None:
             return {}
         words = json.dumps([self.energies, asdict(self.balance)]).encode()
-        arrays = {
-            "match": self._matches,
-            "field": self.field,
-            "words": np.frombuffer(words, np.uint8),
-        }
+        arrays = {name: self.work[name] for name in ("match0", "field")}
+        arrays["words"] = np.frombuffer(words, np.uint8)
         return arrays if self.debt is None else {**arrays, "debt": self.debt}
 
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+    def restore(self, stage: GridStage, arrays: dict[str, np.ndarray]) -> None:
         """Take over the arrays of a checkpoint."""
         self.energies, balance = json.loads(bytes(arrays["words"]))
         self.balance = Balance.from_json(balance)
-        self.match, self.field = arrays["match"], arrays["field"]
+        self._open(stage)
+        for name in ("match0", "field"):
+            self.work.adopt(name, arrays[name])
         self.debt = arrays.get("debt")
 
 
@@ -366,5 +419,5 @@ def make_from_patches(rounds: ExemplarRounds) -> tuple[np.ndarray, list[dict[str
     energies of rounds that follow them.
     """
     rounds.run()
-    assert rounds.votes is not None  # the last stage leaves them
-    return rounds.votes, rounds.energies
+    rounds.work.enter("deliver")
+    return rounds.work.take("votes"), rounds.energies

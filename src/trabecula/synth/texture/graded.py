@@ -22,7 +22,8 @@ from trabecula.core.request import Request
 from trabecula.core.target import porosity_of
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
-from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.engine.memory import Array, Stage, Workspace, within
+from trabecula.engine.parallel import for_slabs, sum_slabs, thread_count
 from trabecula.synth.shared.box_sums import (
     replace_by_window_sums,
     window_sums,
@@ -47,9 +48,6 @@ _NEAR = 32  # values of the field that count as near the interface: about a voxe
 _MOST = 40  # by which a field is shifted in one step
 _HASTE = 1.5  # of a step; from 3 on they would swing
 _LAST = 16  # steps at the end
-
-BYTES = 32
-"""Bytes of a voxel: the windows' sums, and the arrays of a step."""
 
 _AROUND = 1 << 16  # bytes of a file that the system maps at once where one is read
 
@@ -224,8 +222,12 @@ class FractionTarget:
             near = np.abs(field(z).astype(np.int16)) <= _NEAR
             return np.asarray(near if region.free is None else near & region.free[z])
 
-        near, _ = window_sums_of_planes(beside, region.shape, width, region.wraps)
-        missing, _ = window_sums_of_planes(inside, region.shape, width, region.wraps)
+        work = Workspace(shift_stages(region.shape))
+        work.enter("shift")
+        near, missing = (
+            work.adopt(name, window_sums_of_planes(part, region.shape, width, region.wraps)[0])
+            for name, part in (("near", beside), ("missing", inside))
+        )
         # Taken back through the same windows: a step at every voxel for its own window alone would
         # overshoot and swing.
         replace_by_window_sums(
@@ -235,20 +237,37 @@ class FractionTarget:
             lambda a, b: _miss(self.wanted, self.counted, missing, a, b),
         )
 
-        def work(start: int, stop: int) -> None:
-            shift = np.empty(missing.shape[1:], np.int16)
+        def shift(start: int, stop: int) -> None:
+            plane = np.empty(missing.shape[1:], np.int16)
             for z in range(start, stop):
-                _shift(missing[z], near[z], self.counted[z], shift)
-                use(z, shift)
+                _shift(missing[z], near[z], self.counted[z], plane)
+                use(z, plane)
 
-        for_slabs(work, len(missing))
+        for_slabs(shift, len(missing))
 
 
-def slab_bytes(shape: tuple[int, ...]) -> int:
-    """Forecast a thread's memory where arrays are memory-mapped: some planes, and a row of whole
-    columns along z.
-    """
-    return 60 * shape[1] * shape[2] + shape[0] * (4 * shape[2] + _AROUND)
+def fraction_arrays(shape: tuple[int, ...], sites: tuple[int, ...]) -> dict[str, Array]:
+    """Declare the arrays of a `FractionTarget` of so many voxels, and of the guide of a search."""
+    sums = Array(shape, np.int32)
+    return {"wanted": sums, "counted": sums, "guide": Array((*sites, 1), np.int16, axis=-4)}
+
+
+def shift_stages(shape: tuple[int, ...]) -> tuple[Stage, ...]:
+    """Declare the arrays of a step of `FractionTarget`."""
+    sums = Array(shape, np.int32)
+    # some planes, and a row of whole columns along z
+    beside = 60 * shape[1] * shape[2] + shape[0] * (4 * shape[2] + _AROUND)
+    return (Stage("shift", {"near": sums, "missing": sums}, thread_count() * beside),)
+
+
+def settle_stages(shape: tuple[int, ...]) -> tuple[Stage, ...]:
+    """Declare the arrays of `settle_fractions` beside the votes."""
+    held, votes = {"settling": Array(shape, np.int32)}, Array((1, *shape), np.int16)
+    steps = within({**held, "moved": Array(shape, np.int16)}, shift_stages(shape))
+    return (
+        Stage("settle", {**held, "settled": votes}),
+        *(Stage("steps to settle", one.arrays, one.working) for one in steps),
+    )
 
 
 def guide_grid(grid: Grid, fractions: np.ndarray, index: int) -> tuple[Grid, FractionTarget]:

@@ -19,6 +19,7 @@ Zhang, Chen, Wang, Wang (2017), Computer Aided Geometric Design, sections 4.1 an
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,7 @@ import numpy as np
 from trabecula.core.errors import InputError
 from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
+from trabecula.engine.memory import Array
 from trabecula.engine.parallel import for_slabs
 
 
@@ -46,14 +48,21 @@ class GradientVotes:
     pairs: np.ndarray
 
 
+def vote_arrays(shape: Sequence[int], channels: int) -> dict[str, Array]:
+    """Declare the votes of a volume (Z, Y, X)."""
+    sums = Array((channels, *shape), np.int32)
+    return {
+        "values": sums,
+        "weights of voxels": Array(shape, np.int32),
+        "gradients": sums,
+        "pairs": Array((3, *shape), np.int16),
+    }
+
+
 def empty_votes(shape: tuple[int, ...], *, channels: int = 1) -> GradientVotes:
     """Return the votes of a (Z, Y, X) volume before the first is cast."""
-    return GradientVotes(
-        memmap.zeros((channels, *shape), np.int32),
-        memmap.zeros(shape, np.int32),
-        memmap.zeros((channels, *shape), np.int32),
-        memmap.zeros((3, *shape), np.int16),
-    )
+    arrays = vote_arrays(shape, channels).values()
+    return GradientVotes(*(memmap.zeros(array.shape, array.dtype) for array in arrays))
 
 
 def add_votes(
@@ -102,7 +111,7 @@ def add_votes(
         raise InputError(
             f"votes of {len(votes.values)} x {votes.weights.shape} do not fit {len(field)} "
             "channels on sites that cover "
-            f"{covered}: make them with no_votes(covered, channels=...)"
+            f"{covered}: make them with empty_votes(covered, channels=...)"
         )
     rims = [
         _rims(count, width=width, trim=trim, wrap=wrap)

@@ -10,6 +10,7 @@ of labels are clipped signed distances, so the last threshold is exact.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
+from trabecula.engine.memory import Stage, forecast, resident
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.shared.coarse_to_fine import levels_for, levels_that_fit
@@ -29,17 +31,18 @@ from trabecula.synth.shared.matching.sources import Stack
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve
+from trabecula.synth.shared.stages import bound_stages, usage_bytes, value_stages
 from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
-from trabecula.synth.shared.statistics.two_point_steps import step_bytes, step_slab_bytes
 from trabecula.synth.texture import CAPABILITIES, novel_layout
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.exemplar_rounds import (
     ExemplarRounds,
     Level,
+    grid_stages,
     level_of,
     make_from_patches,
+    target_of,
 )
-from trabecula.synth.texture.forecast import TextureForecast
 from trabecula.synth.texture.graded import (
     BEYOND,
     average_target,
@@ -177,12 +180,11 @@ class TextureModel(Model):
 
     def make(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
         if self._makes_new(request):
-            schedule = novel_layout.passes(self.novelty, self.top)
-            votes = novel_layout.make_novel(self.aims, self.slices, schedule, request, self.config)
+            votes = novel_layout.make_novel(self._novel_rounds(request))
             energies: list[dict[str, Any]] = []
         else:
             used = levels_for(request.shape, len(self.levels), width=max(self.config.neighbourhood))
-            # No array is held by a name here: the run drops what it no longer needs.
+            # no array is held by a name here: the run frees what it no longer needs
             votes, energies = make_from_patches(
                 ExemplarRounds(
                     self.levels[:used],
@@ -198,6 +200,10 @@ class TextureModel(Model):
         if request.target and isinstance(self.content, Labels):
             request = average_target(request)
         return self.content.to_values(votes, request), {"levels": energies} if energies else {}
+
+    def _novel_rounds(self, request: Request) -> novel_layout.NovelRounds:
+        schedule = novel_layout.passes(self.novelty, self.top)
+        return novel_layout.NovelRounds(self.aims, self.slices, schedule, request, self.config)
 
     def _fractions(self, request: Request, count: int) -> list[np.ndarray]:
         """Return the target's volume fractions on each level; empty where there is none."""
@@ -233,69 +239,62 @@ class TextureModel(Model):
             check_phases(self.content.present, self.content.empty)
 
     def memory(self, request: Request) -> Mapping[str, int]:
-        run = self._run(request)
-        return {
-            "interpreter and kernels": _PROCESS,
-            "exemplar": self._exemplar_bytes(),
-            "output": run.output,
-            "scratch": run.scratch,
-        }
+        return forecast(self._stages(request), self._fixed()).memory
 
     def resident_memory(self, request: Request) -> Mapping[str, int]:
-        slab = self._run(request).slab
-        if self._makes_new(request):
-            slab = max(
-                slab,
-                novel_layout.slab_bytes(self.aims[0].correlations, self.slices, request, self.top),
-            )
-        elif self.targets and request.fixed is None:
-            shape = Region(request.shape, request.periodic).shape
-            slab = max(slab, step_slab_bytes(shape, self.targets[0], request.periodic))
-        return {
-            "interpreter and kernels": _PROCESS,
-            "exemplar": self._exemplar_bytes(),
-            "slab": slab,
-        }
+        return resident(self._stages(request, mapped=True), self._fixed())
 
-    def _exemplar_bytes(self) -> int:
-        """Return the bytes of the exemplar's fields and neighbourhoods."""
+    def _stages(self, request: Request, *, mapped: bool = False) -> tuple[Stage, ...]:
+        """Declare the arrays of a run that compete for the peak: those of new material, or of the
+        finest level; of known voxels before it, and of the result after it.
+        """
+        distances = self.content.distances
+        if self._makes_new(request):
+            rounds = self._novel_rounds(request)
+            stages, region = rounds.stages(mapped=mapped), rounds.regions[0]
+            finest = self.aims[0].candidates
+        else:
+            region, finest = Region(request.shape, request.periodic), self.levels[0]
+            target = target_of(0, request, self.config, self.targets)
+            stages = tuple(
+                chain.from_iterable(
+                    grid_stages(
+                        request,
+                        region,
+                        candidates,
+                        self.config,
+                        target,
+                        refit=number > 0,
+                        mapped=mapped,
+                    )
+                    for number, candidates in enumerate(finest)
+                )
+            )
+        last = finest[-1]
+        covered = region.cover(box=last.basis.box, steps=last.steps)
+        channels = len(last.stack.field)
+        return (
+            *bound_stages(request, channels, distances=distances),
+            *stages,
+            *value_stages(
+                request,
+                covered.shape,
+                channels,
+                nbytes=self.output_bytes(request),
+                distances=isinstance(self.content, Labels),
+            ),
+        )
+
+    def _fixed(self) -> dict[str, int]:
+        """Return the bytes that do not depend on the request."""
+        exact = self.config.search == "exact"
         kept = [c for aim in self.aims for c in aim.candidates] if self.top else []
         kept += [c for level in self.learnt or [] for c in level]
-        searched = 3 if self.config.search == "exact" else 1  # prepared for it, in another order
+        searched = 3 if exact else 1  # prepared for it, in another order
         fields = sum(stack.field.nbytes for stack in self.stacks)
-        return fields + sum(searched * c.features.nbytes + 9 * c.allowed.nbytes for c in kept)
-
-    def _run(self, request: Request) -> TextureForecast:
-        """Describe a run for its forecast."""
-        new, config = self._makes_new(request), self.config
-        labels = isinstance(self.content, Labels)
-        itemsize = self.dtype.itemsize * (3 if self.facts[0].kind == "colour" else 1)
-        if new:
-            region = Region(
-                novel_layout.torus_shape(request.shape, request.periodic, 0, self.top),
-                (True, True, True),
-            )
-            correlations = self.aims[0].correlations
-            step = novel_layout.step_bytes(correlations, request, self.top)
-            finest = self.aims[0].candidates
-            return TextureForecast(
-                request, region, finest, labels, itemsize, repeated=True, correcting=step
-            )
-        stepped = bool(self.targets) and request.fixed is None and not request.target
-        return TextureForecast(
-            request,
-            Region(request.shape, request.periodic),
-            self.levels[0],
-            labels,
-            itemsize,
-            exact=config.search == "exact",
-            energetic=config.energetic,
-            graded=bool(request.target),
-            repeated=config.sweeps > 1,
-            correcting=step_bytes(request.shape, self.targets[0], request.periodic)
-            if stepped
-            else 0,
-        )
+        held = sum(searched * c.features.nbytes + 9 * c.allowed.nbytes for c in kept)
+        usage = usage_bytes(kept, exact=exact)
+        return {"interpreter and kernels": _PROCESS, "exemplar": fields + held} | usage
 
 
 def _has_room(mask: np.ndarray, width: int) -> bool:

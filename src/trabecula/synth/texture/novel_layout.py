@@ -10,39 +10,37 @@ not to repeat is cut to its length.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.engine.parallel import thread_count
+from trabecula.engine.memory import Stage, Workspace, within
 from trabecula.synth.shared.coarse_to_fine import CoarseToFine, RoundStage
 from trabecula.synth.shared.content.fields import noise, votes_of
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_matches
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.rounds import (
-    cast_votes,
-    match_votes,
-    refine_field,
-    robust_weights,
-)
+from trabecula.synth.shared.matching.rounds import cast_votes, match_votes, refine_field
 from trabecula.synth.shared.matching.sources import Candidates, Stack
-from trabecula.synth.shared.pyramid import fit_to
-from trabecula.synth.shared.statistics import two_point_steps
+from trabecula.synth.shared.stages import LevelMemory, layout_stages
 from trabecula.synth.shared.statistics.long_waves import (
     adjust_long_waves,
-    adjusting_bytes,
-    adjusting_slab_bytes,
     long_waves_of,
+    wave_stages,
 )
-from trabecula.synth.shared.statistics.sliced import round_bytes, transport_neighbourhoods
+from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods, transport_stages
 from trabecula.synth.shared.statistics.slices import SliceTarget, slice_target
 from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
-from trabecula.synth.shared.statistics.two_point_steps import accumulate_debt, two_point_step
+from trabecula.synth.shared.statistics.two_point_steps import (
+    accumulate_debt,
+    step_stages,
+    two_point_step,
+)
 from trabecula.synth.texture.config import TextureConfig
 
 COARSEST = 2
@@ -57,7 +55,7 @@ WIDTH = 6
 _AROUND = (True, True, True)
 _SLICED_WIDTHS = (6, 4)  # of the neighbourhoods of sliced rounds: the first for which there is room
 _ROOM = 4
-_STRENGTH = 2.5
+_STRENGTH, _SLICED_STEP = 2.5, 2
 _SLICED_ROUNDS, _STEP_EVERY = 30, 5
 _MOVED = 16  # rounds on the coarsest level at hardly any novelty
 _WIDE_FROM = 5  # so many of them let finer levels have wide neighbourhoods
@@ -177,6 +175,8 @@ class PassStage(RoundStage):
 
     Attributes
     ----------
+    number : int
+        Of the pass.
     part : Pass
     grid : Grid
     target : Correlations
@@ -186,6 +186,7 @@ class PassStage(RoundStage):
         Whether no pass follows.
     """
 
+    number: int
     part: Pass
     grid: Grid
     target: Correlations
@@ -194,18 +195,10 @@ class PassStage(RoundStage):
 
 
 class NovelRounds(CoarseToFine[Any]):
-    """A run from noise, on the torus.
+    """A run from noise, on the torus; the state of the layout is its votes.
 
     Attributes
     ----------
-    field : (C, Z, Y, X) int8
-        None while votes are cast, and during the layout.
-    votes : (C, Z, Y, X) int16
-        Source of the field; during the layout the state itself.
-    match : (sz, sy, sx) int32
-        The candidate of every site.
-    weights : (sz, sy, sx) int32
-        Of the next vote; None between rounds.
     debt : (C, bins)
         Misfit of the two-point function that the next steps make up for.
     """
@@ -228,10 +221,6 @@ class NovelRounds(CoarseToFine[Any]):
         ]
         unused = [iter(aim.candidates) for aim in aims]
         self.candidates = [next(unused[part.level]) for part in schedule]
-        self.field: np.ndarray | None = None
-        self.votes: np.ndarray | None = None
-        self.match: np.ndarray | None = None
-        self.weights: np.ndarray | None = None
         self.debt: np.ndarray | None = None
 
     @property
@@ -251,6 +240,7 @@ class NovelRounds(CoarseToFine[Any]):
             name,
             f"level {part.level}",
             part.rounds,
+            number,
             part,
             Grid.over(self.regions[part.level], self.candidates[number]),
             self.aims[part.level].correlations,
@@ -258,21 +248,66 @@ class NovelRounds(CoarseToFine[Any]):
             number == len(self.schedule) - 1,
         )
 
-    def enter(self, stage: NovelLayoutStage | PassStage, place: int) -> None:
+    def memory(self, stage: NovelLayoutStage | PassStage) -> Iterable[Stage]:
+        """Declare the arrays of the layout, or of a pass."""
+        if isinstance(stage, NovelLayoutStage):
+            return self._layout_stages()
+        return self._pass_stages(stage.number)
+
+    def stages(self, *, mapped: bool = False) -> tuple[Stage, ...]:
+        """Declare the arrays of the whole run."""
+        passes = (self._pass_stages(number, mapped) for number in range(len(self.schedule)))
+        return (*self._layout_stages(), *chain.from_iterable(passes))
+
+    def _layout_stages(self) -> tuple[Stage, ...]:
+        aims, shape = self.aims[self.top], self.regions[self.top].shape
+        volume = (len(aims.stack.field), *shape)
+        transport = transport_stages(volume, [(0, self.slices)], step=_SLICED_STEP)
+        steps = (*step_stages(shape, aims.correlations, _AROUND), *wave_stages(volume))
+        return layout_stages(volume, {}, transport, steps)
+
+    def _pass_stages(self, number: int, mapped: bool = False) -> tuple[Stage, ...]:
+        part = self.schedule[number]
+        level = LevelMemory(
+            self.request,
+            self.regions[part.level],
+            [(0, self.candidates[number])],
+            sweeps=_FIRST * self.config.sweeps,
+            votes_rest=False,
+            refit=number > 0 and self.schedule[number - 1].level == part.level,
+            mapped=mapped,
+        )
+        target, periodic = self.aims[part.level].correlations, self.request.periodic
+        step = step_stages(level.covered.shape, target, periodic)
+        waves = within({**level.base, **level.votes}, wave_stages(level.volume))
+        return (*replace(level, correction=step).stages(), *waves)
+
+    def enter(self, stage: NovelLayoutStage | PassStage, place: int, before: Workspace) -> None:
         """Start from noise, or refine the field and start from random matches."""
+        work, self.debt = self.work, None
         if isinstance(stage, NovelLayoutStage):
             shape = (len(stage.aims.stack.histograms), *stage.region.shape)
-            votes = noise(shape, int(key(self.request.seed, "novel/noise")))
-            self.votes = votes_of(match_votes(stage.region, votes, stage.aims.stack.histograms))
+            work.enter("match")
+            work.adopt("votes", noise(shape, int(key(self.request.seed, "novel/noise"))))
+            self._make_votes(stage)
             return
-        self.match = self.debt = None
-        level = self.top if place == 1 else self.schedule[place - 2].level
+        self._open(stage, "start")
+        level, field = self.top if place == 1 else self.schedule[place - 2].level, before["field"]
         for finer in range(level - 1, stage.part.level - 1, -1):
-            assert self.field is not None  # the stage before leaves it
-            self.field = fit_to(
-                refine_field(self.field, _AROUND, distances=True), self.regions[finer].shape
-            )
-        self.match = random_matches(stage.grid, stage.stage)
+            shape = self.regions[finer].shape
+            field = refine_field(field, _AROUND, distances=True, shape=shape)
+        work.adopt("field", field)
+        work.adopt("match0", random_matches(stage.grid, stage.stage))
+
+    def _open(self, stage: PassStage, name: str) -> None:
+        self.open_region(name, stage.grid.region, {"active0": stage.grid.active})
+
+    def _make_votes(self, stage: NovelLayoutStage) -> None:
+        """Make the votes those of the field that they make."""
+        work = self.work
+        self.match_field(stage.region, stage.aims.stack.histograms)
+        work.release("votes")
+        work.adopt("votes", votes_of(work["field"]))
 
     def round(self, stage: NovelLayoutStage | PassStage, number: int) -> None:
         """Do a sliced round of the layout, or a round of a pass."""
@@ -283,129 +318,102 @@ class NovelRounds(CoarseToFine[Any]):
 
     def _lay_out(self, stage: NovelLayoutStage, number: int) -> None:
         """Do a sliced round, and a step on the two-point function after every few of them."""
-        assert self.votes is not None
-        region, histograms = stage.region, stage.aims.stack.histograms
-        self.votes = transport_neighbourhoods(
-            self.votes,
-            self.slices,
-            key=key(self.request.seed, "novel/sliced"),
-            number=number,
-            strength=_STRENGTH,
+        work, target, histograms = self.work, stage.aims.correlations, stage.aims.stack.histograms
+        work.enter("transport")
+        work.adopt(
+            "moved",
+            transport_neighbourhoods(
+                work["votes"],
+                [(0, self.slices)],
+                key=key(self.request.seed, "novel/sliced"),
+                number=number,
+                step=_SLICED_STEP,
+                strength=_STRENGTH,
+            ),
         )
+        work.release("votes")
+        work.adopt("votes", work.take("moved"))
         if (number + 1) % _STEP_EVERY == 0:
-            target = stage.aims.correlations
-            self.votes = two_point_step(
-                match_votes(region, self.votes, histograms), target, periodic=_AROUND
-            )
-            _hold_waves(self.votes, target, region, histograms)
-            self.votes = votes_of(match_votes(region, self.votes, histograms))
+            self.match_field(stage.region, histograms)
+            work.release("votes")
+            work.adopt("votes", two_point_step(work["field"], target, periodic=_AROUND))
+            _hold_waves(work["votes"], target, stage.region, histograms)
+            self._make_votes(stage)
 
     def leave(self, stage: NovelLayoutStage | PassStage) -> None:
         """Make the field of the layout: a step was the last, so its votes are those of a field."""
         if isinstance(stage, NovelLayoutStage):
-            assert self.votes is not None
-            self.field, self.votes = match_votes(stage.region, self.votes, None), None
+            self.match_field(stage.region, None)
 
     def search(self, stage: PassStage, number: int) -> None:
         """Find a new match for every site, and what it weighs in the vote."""
-        config = self.config
-        assert self.match is not None and self.field is not None
-        self.votes = None  # every array that is not needed makes room for the next
-        self.match, distance = coherent_search(
+        config, work = self.config, self.work
+        work.enter("search0")
+        found = coherent_search(
             stage.grid,
-            self.match,
-            self.field,
+            work["match0"],
+            work["field"],
             stage=stage.stage,
             first=100 * number + 1,
             count=config.sweeps * (_FIRST if number == 0 else 1),
             tries=config.tries,
             index_penalty=config.index_penalty,
         )
-        self.field = None
-        self.weights = robust_weights(stage.grid, distance, config.robustness)
+        self.weigh_matches(stage.grid, found, config.robustness)
 
     def vote(self, stage: PassStage, number: int) -> None:
         """Make the field that the matches vote for."""
-        assert self.match is not None and self.weights is not None
-        grid = stage.grid
-        votes = cast_votes(grid, self.match, self.weights, trim=1 if stage.part.level == 0 else 0)
-        self.weights = None
-        self.field = match_votes(grid.region, votes, grid.targets)
+        work, grid, trim = self.work, stage.grid, 1 if stage.part.level == 0 else 0
+        work.enter("vote")
+        work.adopt("votes", cast_votes(grid, work["match0"], work["weight0"], trim=trim))
+        self.match_field(grid.region, grid.targets)
 
     def correct(self, stage: PassStage, number: int) -> None:
         """Take steps on the two-point function, the last with one on long waves."""
-        assert self.field is not None
-        part, grid = stage.part, stage.grid
+        part, grid, work = stage.part, stage.grid, self.work
         periodic = self.request.periodic
         if part.beyond:
-            self.debt = accumulate_debt(self.debt, self.field, stage.target, periodic=periodic)
+            work.enter("rest")
+            self.debt = accumulate_debt(self.debt, work["field"], stage.target, periodic=periodic)
         aim = self.debt
         if aim is not None and number == part.rounds - 1:
             aim = aim * part.beyond
         for step in range(part.steps):
-            self.votes = None
-            self.votes = two_point_step(self.field, stage.target, debt=aim, periodic=periodic)
+            work.enter("rest")
+            work.enter("match")
+            votes = two_point_step(work["field"], stage.target, debt=aim, periodic=periodic)
+            work.adopt("votes", votes)
             if step == part.steps - 1:
-                self.field = None
-                _hold_waves(self.votes, stage.target, grid.region, grid.targets)
-            self.field = match_votes(grid.region, self.votes, grid.targets)
+                work.enter("waves")
+                _hold_waves(votes, stage.target, grid.region, grid.targets)
+            del votes
+            self.match_field(grid.region, grid.targets)
 
     def arrays(self, stage: NovelLayoutStage | PassStage, number: int) -> dict[str, np.ndarray]:
         """Return all that the next round starts from; after the last one the votes as well."""
         if isinstance(stage, NovelLayoutStage):
-            assert self.votes is not None
-            return {"votes": self.votes}
-        parts = {
-            "field": self.field,
-            "match": self.match,
-            "debt": self.debt,
-            "votes": self.votes if stage.last and number == stage.rounds - 1 else None,
-        }
-        return {name: part for name, part in parts.items() if part is not None}
+            return {"votes": self.work["votes"]}
+        names = ["field", "match0"]
+        names += ["votes"] if stage.last and number == stage.rounds - 1 else []
+        arrays = {name: self.work[name] for name in names}
+        return arrays if self.debt is None else {**arrays, "debt": self.debt}
 
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+    def restore(self, stage: NovelLayoutStage | PassStage, arrays: dict[str, np.ndarray]) -> None:
         """Take over the arrays of a checkpoint."""
+        self.debt = arrays.pop("debt", None)
+        if isinstance(stage, NovelLayoutStage):
+            self.work.enter("match")
+        else:
+            self._open(stage, "match")
         for name, array in arrays.items():
-            setattr(self, name, array)
+            self.work.adopt(name, array)
 
 
-def make_novel(
-    aims: Sequence[Aims],
-    slices: SliceTarget,
-    schedule: Sequence[Pass],
-    request: Request,
-    config: TextureConfig,
-) -> np.ndarray:
+def make_novel(rounds: NovelRounds) -> np.ndarray:
     """Return the last votes (C, Z, Y, X) int16 on the torus."""
-    rounds = NovelRounds(aims, slices, schedule, request, config)
     rounds.run()
-    if rounds.votes is not None:
-        return rounds.votes
-    assert rounds.field is not None
-    return votes_of(rounds.field)
-
-
-def step_bytes(correlations: Correlations, request: Request, top: int) -> int:
-    """Forecast the memory of a step on the two-point function on the finest level, or on long
-    waves, beside the field and its votes.
-    """
-    shape = torus_shape(request.shape, request.periodic, 0, top)
-    return max(
-        two_point_steps.step_bytes(shape, correlations, request.periodic), adjusting_bytes(shape)
-    )
-
-
-def slab_bytes(correlations: Correlations, slices: SliceTarget, request: Request, top: int) -> int:
-    """Forecast the memory of `make_novel` where arrays are memory-mapped, beside search
-    and vote.
-    """
-    shape = torus_shape(request.shape, request.periodic, 0, top)
-    adjusting = thread_count() * adjusting_slab_bytes(shape)
-    return max(
-        two_point_steps.step_slab_bytes(shape, correlations, request.periodic),
-        adjusting,
-        round_bytes(slices),
-    )
+    rounds.work.enter("deliver")
+    return rounds.work.take("votes")
 
 
 def _hold_waves(

@@ -64,12 +64,23 @@ def solve_votes(
     result = memmap.empty(votes.values.shape, np.int16)
     for channel in range(len(result)):
         guess = None if start is None else start[channel]
-        field = _initial_field(votes, channel, guess if mu > 0 else None)
-        if mu > 0:
-            _solve(votes, channel, np.float32(mu * unit), field, tolerance)
-        for_slabs(partial(_round, field, result[channel]), len(field))
-        del field  # before the next one is made
+        _solve_channel(votes, channel, np.float32(mu * unit), guess, tolerance, result[channel])
     return result
+
+
+def _solve_channel(
+    votes: GradientVotes,
+    channel: int,
+    mu: np.float32,
+    guess: np.ndarray | None,
+    tolerance: float,
+    result: np.ndarray,
+) -> None:
+    """Write 256 times the field of one channel to `result`."""
+    field = _initial_field(votes, channel, guess if mu > 0 else None)
+    if mu > 0:
+        _solve(votes, channel, mu, field, tolerance)
+    for_slabs(partial(_round, field, result), len(field))
 
 
 def _initial_field(votes: GradientVotes, channel: int, guess: np.ndarray | None) -> np.ndarray:

@@ -17,6 +17,7 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
+from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import distance_transform
 from trabecula.synth.shared.content.histogram import Histogram
@@ -86,19 +87,27 @@ def _middles(
 def spread_offset(
     votes: np.ndarray, low: np.ndarray, high: np.ndarray, free: np.ndarray
 ) -> np.ndarray:
-    """Return votes (C, Z, Y, X) int16 with their offset from known voxels, low .. high int8, spread
-    into the free ones.
+    """Spread the offset of votes (C, Z, Y, X) int16 from known voxels, low .. high int8, into the
+    free ones, in place; return the votes.
     """
-    result = memmap.empty(votes.shape, np.int16)
-    known = find_known(free, low, high)
-    offset, other = memmap.empty(free.shape, np.float32), memmap.empty(free.shape, np.float32)
-    for channel, least, most, to in zip(votes, low, high, result, strict=True):
+    work = Workspace(joint_stages(free.shape))
+    work.enter("join")
+    known = work.adopt("known", find_known(free, low, high))
+    offset, other = work.empty("offset"), work.empty("next offset")
+    for channel, least, most in zip(votes, low, high, strict=True):
         for_plane_groups(partial(_miss, channel, least, most, known, offset), free.shape)
         for _ in range(_STEPS):
             for_slabs(partial(_relax, offset, known, free, other), len(free))
             offset, other = other, offset
-        for_plane_groups(partial(_move, channel, free, offset, to), free.shape)
-    return result
+        for_plane_groups(partial(_move, channel, free, offset), free.shape)
+    return votes
+
+
+def joint_stages(shape: Sequence[int]) -> tuple[Stage, ...]:
+    """Declare the arrays of `spread_offset` beside the votes."""
+    offset = Array(shape, np.float32)
+    arrays = {"known": Array(shape, bool), "offset": offset, "next offset": offset}
+    return (Stage("join", arrays),)
 
 
 def _miss(
@@ -122,14 +131,13 @@ def _move(
     votes: np.ndarray,
     free: np.ndarray,
     offset: np.ndarray,
-    result: np.ndarray,
     start: int,
     stop: int,
 ) -> None:
     moved = votes[start:stop] + np.where(
         free[start:stop], np.rint(offset[start:stop]), np.float32(0)
     )
-    result[start:stop] = np.clip(moved, -32512, 32512)
+    votes[start:stop] = np.clip(moved, -32512, 32512)
 
 
 @kernel

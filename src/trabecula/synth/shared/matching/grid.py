@@ -11,16 +11,19 @@ from functools import cached_property
 import numpy as np
 
 from trabecula.engine import memmap
-from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.engine.memory import Array, Stage, Workspace
+from trabecula.engine.parallel import for_slabs, sum_slabs, thread_count
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.content.joints import find_known, pool_histograms, surroundings
 from trabecula.synth.shared.matching.kernels import Sweep, count_matches, search, start_matches
 from trabecula.synth.shared.matching.neighbour_search import (
     best_among,
     index_histogram,
+    neighbour_bytes,
     usage_factors,
 )
 from trabecula.synth.shared.matching.neighbourhoods import (
+    block_bytes,
     grid_reach,
     planes_together,
     project_planes,
@@ -212,38 +215,85 @@ def coherent_search(
     """Do `count` sweeps of the coherent search on a field, numbered from `first`: new matches and
     their distances.
     """
-    # In files features are more to write and to read than to make again.
-    kept = features_of(grid, field) if count > 1 and not memmap.is_active() else None
+    guides, mapped = 0 if grid.guide is None else grid.guide.shape[-1], memmap.is_active()
+    work = Workspace(
+        search_stages(grid.candidates, grid.region, guides=guides, sweeps=count, mapped=mapped)
+    )
+    work.enter("search")
+    held = count > 1 and not mapped
+    features = work.adopt("features", features_of(grid, field)) if held else None
+    distance = work.empty("distance")
     for sweep in range(first, first + count):
-        match, distance = search_sweep(
+        name = "found" if (first + count - sweep) % 2 else "found before"
+        found = work[name] if name in work else work.empty(name)
+        _search_sweep(
             grid,
             match,
             field,
-            kept,
+            features,
+            (found, distance),
             stage=stage,
             sweep=sweep,
             tries=tries,
             index_penalty=index_penalty,
         )
-    return match, distance
+        match = found
+    return work.take("found"), work.take("distance")
 
 
-def search_sweep(
+def search_stages(
+    candidates: Candidates,
+    region: Region,
+    *,
+    guides: int = 0,
+    sweeps: int = 1,
+    exact: bool = False,
+    mapped: bool = False,
+) -> tuple[Stage, ...]:
+    """Declare the arrays of a search beside the field and the matches before it, for a region that
+    is covered and features with so many `guides`.
+
+    Features are held where they are searched more than once: in files they are more to write and
+    to read than to make again.
+    """
+    basis, threads = candidates.basis, thread_count()
+    sites = region.grid(box=basis.box, steps=candidates.steps)
+    depth = basis.vectors.shape[1] + guides
+    match, held = Array(sites, np.int32), exact or (sweeps > 1 and not mapped)
+    arrays = {
+        "found": match,
+        "found before": match if sweeps > 1 and not exact else None,
+        "distance": match,
+        "features": Array((*sites, depth), np.int16, axis=-4) if held else None,
+    }
+    thick = min(planes_together(depth, sites), -(-sites[0] // (4 * threads if threads > 1 else 1)))
+    planes = min((thick - 1) * candidates.steps[0] + basis.box[0], region.shape[0] + basis.box[0])
+    channels = len(candidates.stack.field)
+    seen = channels * planes * region.shape[1] * region.shape[2]
+    made = 2 * depth * thick * sites[1] * sites[2] * (3 if guides else 1)
+    made += seen * (int(channels > 1) + 2 * any(region.wraps))
+    blocks = block_bytes(basis, sites)
+    made += max(4 * seen, 2 * seen + blocks) if basis.grain > 1 else blocks
+    made += neighbour_bytes(len(candidates.features), candidates.k) if exact else 0
+    return (Stage("search", arrays, threads * made, basis.width + 2),)
+
+
+def _search_sweep(
     grid: Grid,
     old: np.ndarray,
     field: np.ndarray,
-    features: np.ndarray | None = None,
+    features: np.ndarray | None,
+    into: tuple[np.ndarray, np.ndarray],
     *,
     stage: np.uint64,
     sweep: int,
     tries: int,
     index_penalty: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Do one sweep of the coherent search: new matches and their distances. Features that are not
-    given are computed on the way.
+) -> None:
+    """Do one sweep of the coherent search: new matches and their distances, into two arrays.
+    Features that are not given are computed on the way.
     """
-    candidates = grid.candidates
-    match, distance = memmap.empty(old.shape, np.int32), memmap.empty(old.shape, np.int32)
+    candidates, (match, distance) = grid.candidates, into
     penalty = usage_penalties(old, grid, index_penalty)
     # In a picture a neighbour in the next plane keeps its match: there is no plane beside it.
     ratio = candidates.step // candidates.stride
@@ -273,7 +323,6 @@ def search_sweep(
             )
 
     for_slabs(work, len(old), least=2, anywhere=True)
-    return match, distance
 
 
 def usage_penalties(match: np.ndarray, grid: Grid, weight: float) -> np.ndarray:

@@ -21,7 +21,7 @@ _QUERIES = 64  # queries of one matrix product: their products with all centres 
 _ROUNDING = 2.0**-24
 
 
-def search_bytes(count: int, k: int) -> int:
+def neighbour_bytes(count: int, k: int) -> int:
     """Forecast the memory of a search among `count` candidates, per thread."""
     return _QUERIES * (5 * count // LEAF + 64 * k)
 

@@ -60,7 +60,7 @@ def robust_weights(grid: Grid, distance: np.ndarray, robustness: float) -> np.nd
 
 
 def join_to_known(region: Region, votes: np.ndarray) -> np.ndarray:
-    """Return votes without a step beside known voxels."""
+    """Remove the step of votes beside known voxels, in place; return the votes."""
     if region.free is None or region.low is None or region.high is None:
         return votes
     return spread_offset(votes, region.low, region.high, region.free)

@@ -17,6 +17,7 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.request import Request
+from trabecula.engine.memory import Stage, Workspace, forecast, resident
 from trabecula.exemplar.views import View, spacing_of
 from trabecula.synth.shared.coarse_to_fine import at_level, levels_that_fit
 from trabecula.synth.shared.content.fields import FULL, mean_edge, quantise
@@ -28,11 +29,11 @@ from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.pictures import PictureModel
 from trabecula.synth.shared.pyramid import fit_to, halve
 from trabecula.synth.shared.solid.config import SolidConfig
-from trabecula.synth.shared.solid.forecast import SolidForecast
 from trabecula.synth.shared.solid.method import PROCESS
 from trabecula.synth.shared.solid.run import SolidRounds
+from trabecula.synth.shared.stages import LevelMemory, bound_stages, usage_bytes, value_stages
 from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
-from trabecula.synth.shared.statistics.two_point_steps import step_bytes, step_slab_bytes
+from trabecula.synth.shared.statistics.two_point_steps import step_stages
 
 
 @dataclass(frozen=True)
@@ -115,31 +116,62 @@ class SolidModel(PictureModel):
     def make(self, request: Request) -> np.ndarray:
         rounds = self.rounds_type(self, request)
         rounds.run()
-        return self._to_values(rounds, request)
+        rounds.work.enter("deliver")
+        return self._to_values(rounds.work, request)
 
-    def _to_values(self, rounds: SolidRounds, request: Request) -> np.ndarray:
+    def _to_values(self, work: Workspace, request: Request) -> np.ndarray:
         """Return the result's values from the last votes."""
-        return self.content.to_values(fit_to(rounds.votes, request.shape), request)
+        return self.content.to_values(fit_to(work.take("votes"), request.shape), request)
 
     def memory(self, request: Request) -> Mapping[str, int]:
-        run = self._forecast(request)
-        return {
-            "interpreter and kernels": PROCESS,
-            "exemplar": self._exemplar_bytes(),
-            "output": run.output,
-            "scratch": run.scratch,
-        }
+        return forecast(self._stages(request), self._fixed()).memory
 
     def resident_memory(self, request: Request) -> Mapping[str, int]:
-        run, target = self._forecast(request), self.levels[0].correlations
-        slab = run.slab
-        if run.correcting and target is not None:
-            slab = max(slab, step_slab_bytes(run.shape, target, request.periodic))
-        return {
-            "interpreter and kernels": PROCESS,
-            "exemplar": self._exemplar_bytes(),
-            "slab": slab,
-        }
+        return resident(self._stages(request, mapped=True), self._fixed())
+
+    def level_memory(
+        self, request: Request, index: int, region: Region, *, mapped: bool = False
+    ) -> LevelMemory:
+        """Declare search and vote on level `index`, in a region."""
+        config, level = self.config, self.levels[index]
+        memory = LevelMemory(
+            request,
+            region,
+            level.views,
+            sweeps=at_level(config.sweeps, index),
+            exact=config.search == "exact",
+            chosen=self._chooses,
+            mapped=mapped,
+        )
+        target = level.correlations
+        if target is None or request.fixed is not None or not at_level(config.corrections, index):
+            return memory
+        return replace(memory, correction=step_stages(memory.covered.shape, target, region.wraps))
+
+    def _stages(self, request: Request, *, mapped: bool = False) -> tuple[Stage, ...]:
+        """Declare the arrays of a run that compete for the peak: those of the finest level, of
+        known voxels before it, and of the result after it.
+        """
+        region, distances = Region(request.shape, request.periodic), self.content.distances
+        finest = self.level_memory(request, 0, region, mapped=mapped)
+        return (
+            *bound_stages(request, finest.channels, distances=distances),
+            *finest.stages(),
+            *value_stages(
+                request,
+                finest.covered.shape,
+                finest.channels,
+                nbytes=self.output_bytes(request),
+                distances=distances,
+            ),
+        )
+
+    def _fixed(self) -> dict[str, int]:
+        """Return the bytes that do not depend on the request."""
+        usage = usage_bytes(
+            (c for _, c in self.levels[0].views), exact=self.config.search == "exact"
+        )
+        return {"interpreter and kernels": PROCESS, "exemplar": self._exemplar_bytes()} | usage
 
     def _exemplar_bytes(self) -> int:
         """Return the bytes of the pictures' fields and neighbourhoods."""
@@ -151,22 +183,6 @@ class SolidModel(PictureModel):
             own * c.features.nbytes + c.stack.field.nbytes + 9 * c.allowed.nbytes
             for c in candidates
         )
-
-    def _forecast(self, request: Request) -> SolidForecast:
-        target = self.levels[0].correlations
-        run = SolidForecast(
-            request,
-            Region(request.shape, request.periodic),
-            self.levels[0].views,
-            distances=self.content.distances,
-            itemsize=self.dtype.itemsize * (3 if self.facts[0].kind == "colour" else 1),
-            chosen=self._chooses,
-            exact=self.config.search == "exact",
-            repeated=at_level(self.config.sweeps, 0) > 1,
-        )
-        if target is None or request.fixed is not None or not at_level(self.config.corrections, 0):
-            return run
-        return replace(run, correcting=step_bytes(run.shape, target, request.periodic))
 
     @property
     def _chooses(self) -> bool:

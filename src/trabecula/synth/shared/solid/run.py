@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.engine import memmap
+from trabecula.engine.memory import Stage, Workspace
 from trabecula.synth.shared.coarse_to_fine import (
     CoarseToFine,
     RoundStage,
@@ -30,10 +30,7 @@ from trabecula.synth.shared.matching.planes import RegionViews, cast_plane_votes
 from trabecula.synth.shared.matching.region import Region, regions_of
 from trabecula.synth.shared.matching.rounds import (
     equal_weights,
-    join_to_known,
-    match_votes,
     refine_field,
-    robust_weights,
 )
 from trabecula.synth.shared.matching.sources import carry_matches
 from trabecula.synth.shared.statistics.two_point import Correlations
@@ -67,37 +64,34 @@ ViewStageT = TypeVar("ViewStageT", bound=ViewStage)
 class ViewRounds(CoarseToFine[ViewStageT]):
     """A run on views.
 
+    Its arrays, as `LevelMemory` declares them: of every view `match` (the candidate of every site)
+    and `weight` (in the next vote); `votes` (256 times the mean that was voted for), `field`, and
+    where voxels are pixels their `sources`.
+
     Attributes
     ----------
-    matches : list of (sz, sy, sx) int32
-        The candidate of every site, one array a view.
-    weights : list of (sz, sy, sx) int32
-        Those of the next vote, one array a view; empty between rounds.
-    votes : (C, Z, Y, X) int16
-        256 times the mean that was voted for.
-    field : (C, Z, Y, X) int8
-    sources : (Z, Y, X) int32, optional
-        The pixel of every voxel.
     debt : (C, bins), optional
         Misfit of the two-point function that the next steps make up for.
     """
 
-    votes: np.ndarray
-    field: np.ndarray
-
     def __init__(self) -> None:
-        self.matches: list[np.ndarray] = []
-        self.weights: list[np.ndarray] = []
-        self.sources: np.ndarray | None = None
         self.debt: np.ndarray | None = None
 
     def search(self, stage: ViewStageT, number: int) -> None:
         """Find new matches in every view, and what they weigh in the vote."""
-        self.weights = []
-        for place, view in enumerate(stage.views.grids):
-            self.matches[place], distance = self.find_matches(stage, place, number)
-            self.weights.append(robust_weights(view.grid, distance, self.robustness))
-            del distance
+        for place in range(len(stage.views.grids)):
+            self._search_view(stage, place, number)
+            self.work.release("distance")
+
+    def _search_view(self, stage: ViewStageT, place: int, number: int) -> None:
+        work, view = self.work, stage.views.grids[place]
+        work.enter(f"search{place}")
+        if view.axis:
+            work.adopt("seen", view.put_axis_first(work["field"]))
+        field = work["seen" if view.axis else "field"]
+        found = self.find_matches(stage, place, number, field)
+        del field
+        self.weigh_matches(view.grid, found, self.robustness, place)
 
     @property
     @abstractmethod
@@ -106,32 +100,50 @@ class ViewRounds(CoarseToFine[ViewStageT]):
 
     @abstractmethod
     def find_matches(
-        self, stage: ViewStageT, place: int, number: int
+        self, stage: ViewStageT, place: int, number: int, field: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Find new matches, and their distances, in one view."""
+        """Find new matches, and their distances, in one view of the field, its axis first."""
+
+    def open_level(self, stage: ViewStageT) -> None:
+        """Hold the arrays of a level that stay as they are."""
+        views = stage.views
+        active = {f"active{place}": view.grid.active for place, view in enumerate(views.grids)}
+        self.open_region("start", views.region, active)
 
     def start_matches(self, stage: ViewStageT) -> None:
         """Match every site with a random patch."""
-        self.matches = [
-            random_matches(view.grid, stage.stage + np.uint64(place))
-            for place, view in enumerate(stage.views.grids)
-        ]
+        for place, view in enumerate(stage.views.grids):
+            match = random_matches(view.grid, stage.stage + np.uint64(place))
+            self.work.adopt(f"match{place}", match)
+
+    def each(self, name: str, stage: ViewStageT) -> list[np.ndarray]:
+        """List the arrays "match" or "weight" of all views."""
+        return [self.work[f"{name}{place}"] for place in range(len(stage.views.grids))]
+
+    def cast(
+        self, stage: ViewStageT, factors: Sequence[np.ndarray] | None = None, trim: int = 0
+    ) -> None:
+        """Cast the votes, each voxel of an exemplar with its factor; join them to known voxels."""
+        views, work = stage.views, self.work
+        work.enter("vote")
+        work.release("votes")
+        matches, weights = self.each("match", stage), self.each("weight", stage)
+        work.adopt("votes", cast_plane_votes(views, matches, weights, factors=factors, trim=trim))
+        self.join_votes(views.region)
 
     def arrays(self, stage: ViewStageT, number: int) -> dict[str, np.ndarray]:
         """Return all that the next round starts from."""
-        arrays = {f"match{place}": match for place, match in enumerate(self.matches)}
-        arrays |= {"votes": self.votes, "field": self.field}
-        arrays |= {} if self.sources is None else {"sources": self.sources}
-        return arrays | ({} if self.debt is None else {"debt": self.debt})
+        names = [f"match{place}" for place in range(len(stage.views.grids))]
+        names += ["votes", "field", *(["sources"] if "sources" in self.work else [])]
+        debt = {} if self.debt is None else {"debt": self.debt}
+        return {name: self.work[name] for name in names} | debt
 
-    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+    def restore(self, stage: ViewStageT, arrays: dict[str, np.ndarray]) -> None:
         """Take over the arrays of a checkpoint."""
-        count = sum(name.startswith("match") for name in arrays)
-        self.matches = [arrays[f"match{place}"] for place in range(count)]
-        self.field = arrays["field"]
-        if "votes" in arrays:
-            self.votes = arrays["votes"]
-        self.sources, self.debt = arrays.get("sources"), arrays.get("debt")
+        self.debt = arrays.pop("debt", None)
+        self.open_level(stage)
+        for name, array in arrays.items():
+            self.work.adopt(name, array)
 
 
 @dataclass(frozen=True)
@@ -190,6 +202,7 @@ class SolidRounds(ViewRounds[SolidStage]):
         if place == 0:
             rounds = config.first_rounds
         del self.regions[index + 1 :]
+        self.debt = None
         views = RegionViews.over(
             self.regions.pop(),
             level.views,
@@ -215,46 +228,44 @@ class SolidRounds(ViewRounds[SolidStage]):
             steps=at_level(config.corrections, index),
         )
 
-    def enter(self, stage: SolidStage, place: int) -> None:
+    def memory(self, stage: SolidStage) -> Iterable[Stage]:
+        """Declare the arrays of a level."""
+        return self.model.level_memory(self.request, stage.index, stage.views.region).stages()
+
+    def enter(self, stage: SolidStage, place: int, before: Workspace) -> None:
         """Start from random patches, or double the field and move its matches along."""
-        views, region = stage.views, stage.views.region
+        views, region, work = stage.views, stage.views.region, self.work
+        self.open_level(stage)
         if place == 0:
             self.start_matches(stage)
-            shape = (len(views.targets), *region.shape)
-            self.votes, self.field = memmap.zeros(shape, np.int16), memmap.zeros(shape, np.int8)
-            self.weights = [equal_weights(view.grid.active) for view in views.grids]
-            self.cast(stage, 0)
+            work.zeros("votes")
+            for number, view in enumerate(views.grids):
+                work.adopt(f"weight{number}", equal_weights(view.grid.active))
+            self.vote(stage, None)
             return
+        distances = self.model.content.distances
+        field = refine_field(before["field"], region.wraps, distances=distances, shape=region.shape)
+        work.adopt("field", region.clip_to_bounds(field))
+        work.adopt("votes", votes_of(field))
         coarser = self.model.levels[stage.index + 1].views
-        field = refine_field(
-            self.field,
-            region.wraps,
-            distances=self.model.content.distances,
-            shape=region.shape,
-        )
-        self.field = region.clip_to_bounds(field)
-        self.matches = [
-            carry_matches(match, old, view.grid.candidates, view.grid.shape, factor=2)
-            for match, (_, old), view in zip(self.matches, coarser, views.grids, strict=True)
-        ]
-        self.votes = votes_of(self.field)
-        self.sources = self.debt = None
+        for number, ((_, old), view) in enumerate(zip(coarser, views.grids, strict=True)):
+            match, grid = before[f"match{number}"], view.grid
+            carried = carry_matches(match, old, grid.candidates, grid.shape, factor=2)
+            work.adopt(f"match{number}", carried)
 
     def find_matches(
-        self, stage: SolidStage, place: int, number: int
+        self, stage: SolidStage, place: int, number: int, field: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Find new matches, and their distances, in one view."""
+        """Find new matches, and their distances, in one view of the field, its axis first."""
         config, view = self.config, stage.views.grids[place]
-        old = self.matches[place]
-        seen = view.put_axis_first(self.field)
+        old = self.work[f"match{place}"]
         if config.search == "exact":
-            return exact_search(
-                view.grid, old, features_of(view.grid, seen), index_penalty=config.index_penalty
-            )
+            features = features_of(view.grid, field)
+            return exact_search(view.grid, old, features, index_penalty=config.index_penalty)
         return coherent_search(
             view.grid,
             old,
-            seen,
+            field,
             stage=stage.stage + np.uint64(place),
             first=number * stage.sweeps + 1,
             count=stage.sweeps,
@@ -262,19 +273,11 @@ class SolidRounds(ViewRounds[SolidStage]):
             index_penalty=config.index_penalty,
         )
 
-    def vote(self, stage: SolidStage, number: int) -> None:
-        """Make the field that the matches vote for."""
-        self.cast(stage, stage.trims[number])
-
-    def cast(self, stage: SolidStage, trim: int) -> None:
-        """Cast the votes, each voxel of an exemplar with its factor, and match their histogram."""
-        views = stage.views
-        votes = cast_plane_votes(
-            views, self.matches, self.weights, factors=self.factors(stage), trim=trim
-        )
-        self.use_votes(stage, votes)
-        del votes
-        self.weights = []
+    def vote(self, stage: SolidStage, number: int | None) -> None:
+        """Make the field that the matches vote for; without a `number`, before the first round."""
+        trim = 0 if number is None else stage.trims[number]
+        self.cast(stage, self.factors(stage), trim)
+        self.match_field(stage.views.region, stage.views.targets if self.config.histogram else None)
 
     def factors(self, stage: SolidStage) -> list[np.ndarray] | None:
         """Return the factor (z, y, x) int16 of every voxel of each view's exemplar; None where all
@@ -282,32 +285,18 @@ class SolidRounds(ViewRounds[SolidStage]):
         """
         return None
 
-    def use_votes(self, stage: SolidStage, votes: np.ndarray) -> None:
-        """Make votes the next field: joined to known voxels, with the histograms that are
-        required.
-        """
-        views = stage.views
-        self.votes = join_to_known(views.region, votes)
-        self.field = match_votes(
-            views.region, self.votes, views.targets if self.config.histogram else None
-        )
-
     def correct(self, stage: SolidStage, number: int) -> None:
         """Take steps on the two-point function of the free voxels."""
-        views, target = stage.views, stage.target
-        region = stage.views.region
+        views, target, work = stage.views, stage.target, self.work
         if target is None or not stage.steps:
             return
+        settings: dict[str, Any] = {"periodic": views.region.wraps, "free": views.region.free}
+        work.enter("rest")
         last = stage.index == 0 and number == stage.rounds - 1
-        self.debt = (
-            None  # no later vote takes anything back
-            if last
-            else accumulate_debt(
-                self.debt, self.field, target, periodic=region.wraps, free=region.free
-            )
-        )
+        # no later vote takes anything back
+        self.debt = None if last else accumulate_debt(self.debt, work["field"], target, **settings)
         for _ in range(stage.steps):
-            self.votes = two_point_step(
-                self.field, target, debt=self.debt, periodic=region.wraps, free=region.free
-            )
-            self.field = match_votes(region, self.votes, views.targets)
+            work.enter("rest")
+            work.release("votes")
+            work.adopt("votes", two_point_step(work["field"], target, debt=self.debt, **settings))
+            self.match_field(views.region, views.targets)

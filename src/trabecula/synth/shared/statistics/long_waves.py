@@ -19,8 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trabecula.engine import memmap
-from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.engine.memory import Array, Stage, Workspace
+from trabecula.engine.parallel import for_slabs, sum_slabs, thread_count
 from trabecula.synth.shared.box_sums import window_sums_of_planes
 from trabecula.synth.shared.content.fields import FULL, UNIT
 
@@ -133,25 +133,27 @@ def adjust_long_waves(
     if not waves.widths:
         return
     for _ in range(_ROUNDS):
-        field = matched(votes)
-        moved = [
-            _adjust(votes[c], field[c], waves, waves.bands[c], wraps) for c in range(len(votes))
-        ]
-        del field
+        work = Workspace(wave_stages(votes.shape))
+        work.enter("waves")
+        work.adopt("matched", matched(votes))
+        moved = [_adjust(votes[c], c, waves, wraps, work) for c in range(len(votes))]
         if not any(moved):
             break
 
 
-def adjusting_bytes(shape: Sequence[int]) -> int:
-    """Return the memory of `adjust_long_waves` beside the votes: two arrays of sums,
-    and the shift.
-    """
-    return 12 * math.prod(shape)
-
-
-def adjusting_slab_bytes(shape: Sequence[int]) -> int:
-    """Return the part of it that a thread keeps in memory where arrays are memory-mapped."""
-    return 60 * shape[1] * shape[2] + shape[0] * 4 * shape[2] + (1 << 16)
+def wave_stages(shape: Sequence[int]) -> tuple[Stage, ...]:
+    """Declare the arrays of `adjust_long_waves` beside the votes (C, Z, Y, X)."""
+    _, *volume = shape
+    sums, planes = Array(volume, np.int32), 60 * shape[2] * shape[3]
+    arrays = {
+        "matched": Array(shape, np.int8),
+        "narrow": sums,
+        "wide": sums,
+        "change": Array(volume, np.float32),
+    }
+    return (
+        Stage("waves", arrays, thread_count() * (planes + shape[1] * 4 * shape[3] + (1 << 16))),
+    )
 
 
 def _widths(shortest: int, level: int) -> tuple[int, ...]:
@@ -201,16 +203,14 @@ def _squares_of(
 
 
 def _adjust(
-    votes: np.ndarray,
-    field: np.ndarray,
-    waves: LongWaves,
-    bands: np.ndarray,
-    wraps: tuple[bool, bool, bool],
+    votes: np.ndarray, c: int, waves: LongWaves, wraps: tuple[bool, bool, bool], work: Workspace
 ) -> bool:
-    """Shift a channel's votes (Z, Y, X) int16, which make `field` int8, once; return whether there
-    was anything to shift.
+    """Shift channel `c` of votes (Z, Y, X) int16, whose field is in `work`, once; return whether
+    there was anything to shift.
     """
-    table = _table(waves.softness)
+    table, field = _table(waves.softness), work["matched"][c]
+    if "change" in work:
+        work.release("change")
 
     def soft(z: int) -> np.ndarray:
         return np.asarray(table[field[z].view(np.uint8)])
@@ -220,37 +220,48 @@ def _adjust(
     )
     if not moving:
         return False
-    shift: np.ndarray | None = None
-    narrow, total = window_sums_of_planes(soft, field.shape, waves.widths[0], wraps)
-    mean = total / (_FINE * field.size)
+
+    def sums(name: str, width: int) -> int:
+        found, total = window_sums_of_planes(soft, field.shape, width, wraps)
+        work.adopt(name, found)
+        return total
+
+    mean = sums("narrow", waves.widths[0]) / (_FINE * field.size)
     for n, width in enumerate(waves.widths):
-        wide, wider = None, 1
-        if n + 1 < len(waves.widths):
-            wider = waves.widths[n + 1]
-            wide, _ = window_sums_of_planes(soft, field.shape, wider, wraps)
-        band = _Band(narrow, wide, 1 / (_FINE * width**3), 1 / (_FINE * wider**3), mean)
-        gain = _gain(bands[n], band.variance())
-        if gain:
-            if shift is None:
-                shift = memmap.zeros(field.shape, np.float32)
-            band.add(shift, np.float32(-gain / moving))
-        if wide is not None:
-            narrow = wide
-        del band, wide  # free these sums before the next are allocated
-    if shift is None:
+        wider = waves.widths[n + 1] if n + 1 < len(waves.widths) else None
+        if wider is not None:
+            sums("wide", wider)
+        _add_band(work, (width, wider), mean, waves.bands[c][n], moving)
+        work.release("narrow")
+        if wider is not None:
+            work.adopt("narrow", work.take("wide"))
+    if "change" not in work:
         return False
-    change, unit = shift, np.float32(UNIT * waves.softness)
+    change, unit = work["change"], np.float32(UNIT * waves.softness)
     limit = FULL * UNIT
 
-    def work(start: int, stop: int) -> None:
+    def shift(start: int, stop: int) -> None:
         for z in range(start, stop):
             inside = soft(z)
             step = np.clip(change[z], -_MOST, _MOST) * unit
             step[(inside == 0) | (inside == _FINE)] = 0
             votes[z] = np.clip(np.rint(votes[z] + step), -limit, limit)
 
-    for_slabs(work, len(votes))
+    for_slabs(shift, len(votes))
     return True
+
+
+def _add_band(
+    work: Workspace, widths: tuple[int, int | None], mean: float, wanted: float, moving: float
+) -> None:
+    """Add what a band is to change by to the change of the votes."""
+    width, wider = widths[0], widths[1] or 1
+    wide = None if widths[1] is None else work["wide"]
+    band = _Band(work["narrow"], wide, 1 / (_FINE * width**3), 1 / (_FINE * wider**3), mean)
+    gain = _gain(wanted, band.variance())
+    if gain:
+        change = work["change"] if "change" in work else work.zeros("change")
+        band.add(change, np.float32(-gain / moving))
 
 
 def _moving(soft: np.ndarray) -> int:

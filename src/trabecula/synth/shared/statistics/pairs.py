@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from trabecula.engine import memmap
+from trabecula.engine.memory import Array
 from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.numerics.transforms import fast_side
 
@@ -108,27 +109,20 @@ class Pairs:
         return self._by_length(z[:, None, None] * y[:, None] * x)
 
     @property
-    def spectrum_bytes(self) -> int:
-        """Return the bytes of a transform."""
+    def spectrum(self) -> Array:
+        """Declare a transform."""
         depth, height, width = self.sides
-        return 8 * depth * height * (width // 2 + 1)
+        return Array((depth, height, width // 2 + 1), np.complex64)
 
     @property
-    def kernel_bytes(self) -> int:
-        """Return the bytes of the kernel in `convolve`."""
-        return self.spectrum_bytes // self.sides[0] * (self.reach[0] + 1)
+    def kernel(self) -> Array:
+        """Declare the kernel in `convolve`, or the lines at the offsets in `curve`."""
+        return Array((self.reach[0] + 1, *self.spectrum.shape[1:]), np.complex64)
 
     @property
     def table_bytes(self) -> int:
         """Return the bytes of the bins of all offsets, which are cached."""
         return 8 * int(np.prod([len(offset) for offset in self.offsets]))
-
-    @property
-    def lines_bytes(self) -> int:
-        """Return the bytes that `curve` takes meanwhile: lines at the offsets, and a few numbers
-        for each of these.
-        """
-        return self.kernel_bytes + 4 * self.table_bytes
 
     @property
     def slab_bytes(self) -> int:

@@ -16,7 +16,7 @@ Everything is a whole number within the range in which products of matrices are 
 do not depend on the BLAS, on threads or on the machine.
 
 From pictures the neighbourhoods are squares in the planes of a view; where a material is seen in
-several views, a voxel becomes the mean over all of them (`transport_planes`).
+several views, a voxel becomes the mean over all of them.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
+from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.parallel import for_slabs, one_blas_thread, thread_count
 from trabecula.engine.random import philox
 from trabecula.synth.shared.content.fields import FULL, UNIT
@@ -44,7 +45,7 @@ from trabecula.synth.shared.statistics.slices import AT_ONCE, BINS, FINE, SliceT
 
 def transport_neighbourhoods(
     field: np.ndarray,
-    slices: SliceTarget,
+    views: Sequence[tuple[int, SliceTarget]],
     *,
     key: np.uint64,
     number: int,
@@ -53,14 +54,17 @@ def transport_neighbourhoods(
     periodic: Sequence[bool] = (True, True, True),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Move every neighbourhood of a grid towards the exemplar's distribution, and average overlaps:
-    one round.
+    """Move every neighbourhood of a grid towards the distribution of its view, and average all
+    overlaps: one round.
 
     Parameters
     ----------
     field : (C, Z, Y, X) int16
         1 / UNIT of an int8 step; no side below the width of the neighbourhoods.
-    slices : Slices
+    views : sequence of (axis, SliceTarget)
+        What neighbourhoods aim at: cubes of a volume, with axis 0; or flat ones of a picture, whose
+        rows lie along the slower of the two other axes, and the axis across which it is seen (0 z,
+        1 y, 2 x).
     key : uint64
         Of the random axes and of where the grid begins.
     number : int
@@ -81,59 +85,61 @@ def transport_neighbourhoods(
     -------
     (C, Z, Y, X) int16
     """
-    round_ = SlicedRound(key, number, step, strength)
-    total, votes = memmap.zeros(field.shape, np.int32), memmap.zeros(field.shape[1:], np.int32)
-    add_transported(field, slices, round_, periodic, free, total, votes)
-    return _write_means(field, total, votes, free)
-
-
-def transport_planes(
-    field: np.ndarray,
-    views: Sequence[tuple[int, SliceTarget]],
-    *,
-    key: np.uint64,
-    number: int,
-    step: int = 2,
-    strength: float = 1.5,
-    periodic: Sequence[bool] = (True, True, True),
-    free: np.ndarray | None = None,
-) -> np.ndarray:
-    """Move every plane of every view towards that view's distribution, and average all overlaps:
-    one round.
-
-    Parameters
-    ----------
-    field : (C, Z, Y, X) int16
-        1 / UNIT of an int8 step; no side below the width of the neighbourhoods.
-    views : sequence of (axis, Slices)
-        The axis across which a view is seen (0 z, 1 y, 2 x) and what it aims at: flat
-        neighbourhoods of a picture whose rows lie along the slower of the two other axes.
-    key, number, step, strength, periodic, free
-        As in `transport_neighbourhoods`, of the volume.
-
-    Returns
-    -------
-    (C, Z, Y, X) int16
-    """
-    total, votes = memmap.zeros(field.shape, np.int32), memmap.zeros(field.shape[1:], np.int32)
+    work = Workspace(transport_stages(field.shape, views, step=step, known=free is not None))
+    work.enter("mean")
+    total, votes = work.zeros("sums"), work.zeros("counts")
     for place, (axis, slices) in enumerate(views):
+        work.enter("mean")
+        work.enter(f"view {place}")
         round_ = SlicedRound(key, number * len(views) + place, step, strength)
         around = [periodic[a] for a in axis_order(axis)]
-        seen, made = (
-            put_axis_first(field, axis),
-            None if free is None else put_axis_first(free, axis),
-        )
         if axis == 0:
-            add_transported(seen, slices, round_, around, made, total, votes)
+            add_transported(field, slices, round_, around, free, total, votes)
             continue
-        shape = shape_with_axis_first(field.shape[1:], axis)
-        sums, counts = memmap.zeros((len(field), *shape), np.int32), memmap.zeros(shape, np.int32)
-        add_transported(seen, slices, round_, around, made, sums, counts)
-        del seen
+        work.adopt("seen", put_axis_first(field, axis))
+        if free is not None:
+            work.adopt("free seen", put_axis_first(free, axis))
+        seen_free = None if free is None else work["free seen"]
+        sums, counts = work.zeros("seen sums"), work.zeros("seen counts")
+        add_transported(work["seen"], slices, round_, around, seen_free, sums, counts)
         restore_axis_order(sums, axis, total, add=True)
         restore_axis_order(counts, axis, votes, add=True)
-        del sums, counts  # before the next view's
+        del sums, counts, seen_free
+    work.enter("mean")
     return _write_means(field, total, votes, free)
+
+
+def transport_stages(
+    shape: Sequence[int],
+    views: Sequence[tuple[int, SliceTarget]],
+    *,
+    step: int,
+    known: bool = False,
+) -> tuple[Stage, ...]:
+    """Declare the arrays of a round on a field (C, Z, Y, X) beside it and its result; `known` says
+    whether not all voxels are free.
+    """
+    channels, *volume = shape
+    held = {"sums": Array(shape, np.int32), "counts": Array(volume, np.int32)}
+    stages = [Stage("mean", {**held, "replaced": Array(shape, np.int16)})]
+    for place, (axis, slices) in enumerate(views):
+        turned = shape_with_axis_first(volume, axis)
+        steps = steps_of(step, flat=slices.basis.flat)
+        sites = [-(-side // apart) for side, apart in zip(turned, steps, strict=True)]
+        arrays = {
+            "levels": Array((channels, *turned), np.int8),
+            "features": Array((*sites, slices.basis.vectors.shape[1]), np.int16, axis=-4),
+            "active": Array(sites, bool) if known else None,
+        }
+        if axis:
+            arrays |= {
+                "seen": Array((channels, *turned), np.int16),
+                "free seen": Array(turned, bool) if known else None,
+                "seen sums": Array((channels, *turned), np.int32),
+                "seen counts": Array(turned, np.int32),
+            }
+        stages.append(Stage(f"view {place}", {**held, **arrays}, _round_bytes(slices)))
+    return tuple(stages)
 
 
 def _write_means(
@@ -228,7 +234,7 @@ def rotation(key: np.uint64, number: int, size: int) -> np.ndarray:
         return np.asarray((first[:, None] * matrix * second) @ matrix * third)
 
 
-def round_bytes(slices: SliceTarget) -> int:
+def _round_bytes(slices: SliceTarget) -> int:
     """Forecast the memory of a round whatever the volume: features of the exemplars, and
     neighbourhoods that are put back.
     """

@@ -22,6 +22,7 @@ from functools import partial
 
 import numpy as np
 
+from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.content.fields import FULL, UNIT, votes_of
 from trabecula.synth.shared.statistics.pairs import Pairs
@@ -105,31 +106,30 @@ def two_point_step(
     return votes
 
 
-def step_bytes(
+def step_stages(
     shape: Sequence[int], target: Correlations, periodic: Sequence[bool] = (False, False, False)
-) -> int:
-    """Forecast the peak memory of `two_point_step` beside the field and the votes, for a volume of
-    this shape.
+) -> tuple[Stage, ...]:
+    """Declare the arrays of `two_point_step` beside the field and the votes, for a volume of this
+    shape.
     """
-    pairs, around = _pairs(shape, target, periodic)
-    slope, change = 4 * math.prod(shape), pairs.spectrum_bytes
-    # Moments that compete: a direction is made, it is transformed, its change of the two-point
-    # function is read off.
-    most = max(
-        slope + around.spectrum_bytes + around.kernel_bytes,
-        slope + change,
-        change + pairs.lines_bytes,
+    return _stages(*_pairs(shape, target, periodic))
+
+
+def _stages(pairs: Pairs, around: Pairs) -> tuple[Stage, ...]:
+    held = {"spectrum": pairs.spectrum, "centred": around.spectrum}
+    slope = {"slope": Array(pairs.shape, np.float32)}
+    tables = pairs.table_bytes + around.table_bytes + max(pairs.slab_bytes, around.slab_bytes)
+    inverse = {"kernel": around.kernel, "product": around.spectrum}
+    return (
+        Stage("make a direction", {**held, **slope, **inverse}, tables),
+        Stage("transform it", {**held, **slope, "change": pairs.spectrum}, tables),
+        Stage(
+            "compare it",
+            {**held, "change": pairs.spectrum, "lines": pairs.kernel},
+            tables + 4 * pairs.table_bytes,
+        ),
+        Stage("take it", {**slope, "change": pairs.spectrum, "lines": pairs.kernel}, tables),
     )
-    held = pairs.spectrum_bytes + around.spectrum_bytes + pairs.table_bytes + around.table_bytes
-    return held + most + pairs.slab_bytes
-
-
-def step_slab_bytes(
-    shape: Sequence[int], target: Correlations, periodic: Sequence[bool] = (False, False, False)
-) -> int:
-    """Forecast the part of it that stays in memory where arrays are memory-mapped."""
-    pairs, around = _pairs(shape, target, periodic)
-    return max(pairs.slab_bytes, around.slab_bytes) + 6 * pairs.table_bytes
 
 
 def _pairs(
@@ -171,35 +171,38 @@ def _step(
     mean, moving = soft.mean_and_moving()
     if not moving:
         return None
-    spectrum = pairs.forward(soft.plane)
+    work = Workspace(_stages(pairs, around))
+    work.enter("compare it")
+    work.adopt("spectrum", pairs.forward(soft.plane))
     r = np.arange(pairs.bins) % (target.r_max + 1)
     weights = np.where(
         (r > 0) & (pairs.fits > 0) & target.held, 1 + (_SHORT / np.maximum(r, 1)) ** 2, 0.0
     )
-    excess = pairs.curve(spectrum, spectrum) - aim
-    centred = around.forward(partial(soft.centre, mean))
+    excess = pairs.curve(work["spectrum"], work["spectrum"]) - aim
+    work.adopt("centred", around.forward(partial(soft.centre, mean)))
 
     # Cut at twice the smallest window instead, S2 of bone is .03 off where it is .015 now: lags of
     # 16 to 40 have no other hold.
     shortest = target.waves.widths[-1] if target.waves is not None and target.waves.widths else 0
     pushes, changes = split_into_bands(excess * weights), []
     for push in pushes:
-        # Nobody holds on to a direction: each is as large as the field.
-        change = pairs.forward(_direction(push, soft, moving, centred, around, shortest).plane)
-        changes.append(2 * pairs.curve(spectrum, change))
-        del change
+        work.enter("make a direction")
+        direction = _direction(push, soft, moving, work["centred"], around, shortest)
+        work.enter("transform it")
+        work.adopt("change", pairs.forward(direction.plane))
+        del direction  # as large as the field
+        work.enter("compare it")
+        changes.append(2 * pairs.curve(work["spectrum"], work["change"]))
     if not pushes:
         return None
     shares = least_squares(np.array(changes), excess, weights)
     push = np.sum([share * push for share, push in zip(shares, pushes, strict=True)], axis=0)
     change = np.sum([share * change for share, change in zip(shares, changes, strict=True)], axis=0)
-    del spectrum
-    direction = _direction(push, soft, moving, centred, around, shortest)
-    del centred  # the peak is ahead
-    spectra = pairs.forward(direction.plane)
-    return direction, np.float32(
-        best_length(excess, change, pairs.curve(spectra, spectra), weights)
-    )
+    work.enter("make a direction")
+    direction = _direction(push, soft, moving, work["centred"], around, shortest)
+    work.enter("take it")
+    square = pairs.curve(*[work.adopt("change", pairs.forward(direction.plane))] * 2)
+    return direction, np.float32(best_length(excess, change, square, weights))
 
 
 def _direction(
