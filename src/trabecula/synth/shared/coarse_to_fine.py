@@ -19,6 +19,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from trabecula.core.progress import track
+from trabecula.core.request import Request
 from trabecula.engine.checkpoint import Checkpoint, due, offer, resume
 from trabecula.engine.memory import Stage, Workspace
 from trabecula.synth.shared.content.histogram import Histogram
@@ -57,10 +58,12 @@ class CoarseToFine(ABC, Generic[StageT]):
 
     Attributes
     ----------
+    request : Request
     work : Workspace
         The declared arrays of the stage; the state between rounds by its names in checkpoints.
     """
 
+    request: Request
     work = Workspace(())
 
     def run(self) -> None:
@@ -140,7 +143,7 @@ class CoarseToFine(ABC, Generic[StageT]):
         self.work.enter(name)
         parts = {"free": region.free, "low": region.low, "high": region.high, **active}
         for part, array in parts.items():
-            if array is not None:
+            if array is not None and array is not self.request.mask:  # which is the caller's
                 self.work.adopt(part, array)
 
     def weigh_matches(

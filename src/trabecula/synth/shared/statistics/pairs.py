@@ -125,13 +125,6 @@ class Pairs:
         return 8 * int(np.prod([len(offset) for offset in self.offsets]))
 
     @property
-    def lines_bytes(self) -> int:
-        """Return the bytes that `curve` takes meanwhile: lines at the offsets, and a few numbers
-        for each of these.
-        """
-        return self.kernel.nbytes + 4 * self.table_bytes
-
-    @property
     def slab_bytes(self) -> int:
         """Return the bytes of planes and rows that are never memory-mapped."""
         depth, height, width = self.sides
