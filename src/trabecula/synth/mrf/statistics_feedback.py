@@ -202,21 +202,23 @@ def coupled_pairs(
 
 def coupling_stages(pairs: Pairs, channels: int) -> tuple[Stage, ...]:
     """Declare the arrays of the couplings of such pairs."""
-    depth, height, width = pairs.shape
-    half = (height, width // 2 + 1)
-    spectrum = Array((depth, *half), np.complex64)
-    reached = Array((pairs.reach[0] + 1, *half), np.complex64)
     held = {"field": Array((channels, *pairs.shape), np.int16)}
-    inverse = {"kernel": reached, "product": spectrum, "pull": Array(pairs.shape, np.float32)}
+    inverse = {
+        "kernel": pairs.kernel,
+        "product": pairs.spectrum,
+        "pull": Array(pairs.shape, np.float32),
+    }
     return (
         Stage("measure pairs", {}, 6 * pairs.table_bytes),
         Stage("hold the field", held),
         Stage(
             "compare pairs",
-            {**held, "spectrum": spectrum, "lines": reached},
+            {**held, "spectrum": pairs.spectrum, "lines": pairs.kernel},
             pairs.slab_bytes + 4 * pairs.table_bytes,
         ),
-        Stage("update the field", {**held, "spectrum": spectrum, **inverse}, pairs.slab_bytes),
+        Stage(
+            "update the field", {**held, "spectrum": pairs.spectrum, **inverse}, pairs.slab_bytes
+        ),
     )
 
 
