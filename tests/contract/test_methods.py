@@ -38,10 +38,12 @@ Each method takes part in some of them, and each has a method of windows or of m
 
 
 def _cases():
+    cases = []
     for name in sorted(methods()):
         for check in METHOD_CHECKS:
             quick = name in CHEAP | SHARED.get(check, {name})
-            yield pytest.param(name, check, marks=[] if quick else pytest.mark.whole)
+            cases.append(pytest.param(name, check, marks=[] if quick else pytest.mark.whole))
+    return cases
 
 
 @pytest.fixture(scope="module")

@@ -21,10 +21,12 @@ QUICK = {
 
 def _cases(names):
     """Return the names as parameters, the slow ones marked."""
+    cases = []
     for name in names:
         kind = name.split("-")[0]
         quick = name in QUICK or (kind in QUICK and ("." not in name or kind == "field"))
-        yield name if quick else pytest.param(name, marks=pytest.mark.whole)
+        cases.append(name if quick else pytest.param(name, marks=pytest.mark.whole))
+    return cases
 
 
 @pytest.mark.parametrize("name", _cases(CASES))
