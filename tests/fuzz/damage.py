@@ -279,9 +279,9 @@ def of_bytes(change: Callable[[np.random.Generator, bytes], bytes]) -> Damage:
 def rename(rng: np.random.Generator, path: Path) -> Path:
     """Give a file another format's suffix."""
     from trabecula.io.formats import suffixes
-    from trabecula.mesh.formats import FORMATS
+    from trabecula.mesh.formats import READABLE
 
-    known = [*suffixes(), *FORMATS, "", ".gz", ".TIF", ".tif.part"]
+    known = [*suffixes(), *READABLE, "", ".gz", ".TIF", ".tif.part"]
     new = path.with_name("y" + str(rng.choice(known)))
     path.rename(new)
     return new

@@ -11,7 +11,7 @@ import nibabel
 import nrrd
 import numpy as np
 import tifffile
-from trabecula.pipeline.resume import resume
+import trimesh
 
 import trabecula as tb
 from trabecula.core.image import Image, describe_fields
@@ -23,7 +23,8 @@ from trabecula.engine.lazy_volume import Slabs
 from trabecula.fields.topology import cases
 from trabecula.io.formats import FORMATS
 from trabecula.mesh.base import Mesh
-from trabecula.mesh.formats import FORMATS as SURFACES
+from trabecula.mesh.formats import READABLE as SURFACES
+from trabecula.pipeline.generate import resume
 from trabecula.synth.api.model import Model
 
 RNG = np.random.default_rng(11)
@@ -173,7 +174,18 @@ FOREIGN = [
 
 
 def _surface(name: str) -> Callable[[Path], Path]:
-    return lambda folder: Path(str(tb.export(image(HALF, "labels"), f"{folder}/x{name}")))
+    """Return a function that writes a surface: this package, or trimesh what that alone reads."""
+    if SURFACES[name].home != "by_trimesh":
+        return lambda folder: Path(str(tb.export(image(HALF, "labels"), f"{folder}/x{name}")))
+
+    def write(folder: Path) -> Path:
+        body = trimesh.creation.box((1, 2, 3)).export(file_type=name[1:])
+        for file, data in (body if isinstance(body, dict) else {f"x{name}": body}).items():
+            place = folder / (f"x{name}" if file.endswith(name) else file)
+            place.write_bytes(data.encode() if isinstance(data, str) else data)
+        return folder / f"x{name}"
+
+    return write
 
 
 def _text(name: str, text: str) -> Callable[[Path], Path]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from trabecula.io.formats import FORMATS
 from trabecula.measure.registry import DESCRIPTORS
-from trabecula.mesh.formats import FORMATS as SURFACES
+from trabecula.mesh.formats import READABLE as SURFACES
 
 HOME = Path(__file__).parents[2]
 PAGE = (HOME / "docs/guide/oracles.md").read_text(encoding="utf-8")

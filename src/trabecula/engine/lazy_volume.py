@@ -16,7 +16,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, check_labels, outline
 from trabecula.core.recipe import Recipe
 from trabecula.engine.chunking import Box, slices_of
-from trabecula.engine.memory import Plan, available_memory, check_budget
+from trabecula.engine.memory import Plan, as_budget, available_memory, check_budget
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +139,7 @@ def depth_within(
     MemoryBudgetError
         Not even the thinnest slab fits.
     """
-    budget = available_memory() if memory is None else memory
+    budget = available_memory() if memory is None else as_budget(memory)
     whole, grain = volume.shape[0], volume.grain
     deep = [whole, *(many * grain for many in (8, 4, 2, 1) if many * grain < whole)]
     thin = [depth for depth in (64, 32, 16, 8, 4, 2, 1) if depth < min(deep)]

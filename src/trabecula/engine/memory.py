@@ -56,6 +56,7 @@ from typing import Any
 
 import numpy as np
 
+from trabecula.core.checks import as_number
 from trabecula.core.errors import MemoryBudgetError
 from trabecula.engine import memmap
 from trabecula.engine.parallel import thread_count
@@ -423,6 +424,11 @@ def available_memory() -> int:
     return free if limit is None else min(free, limit)
 
 
+def as_budget(memory: int) -> int:
+    """Return a budget of bytes that a caller gave."""
+    return int(as_number(memory, name="memory", low=0, high=2**63))
+
+
 def check_budget(
     plan: Plan,
     *,
@@ -440,7 +446,7 @@ def check_budget(
     advice : str, or function of the bytes that may be used that gives one
         What the user can change, as an imperative.
     """
-    limit = available_memory() if budget is None else budget
+    limit = available_memory() if budget is None else as_budget(budget)
     if plan.peak > limit:
         raise MemoryBudgetError(
             f"this run needs about {format_bytes(plan.peak)} of memory, {format_bytes(limit)} may "

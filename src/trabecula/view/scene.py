@@ -61,7 +61,9 @@ class Cut:
 
 def parse_cut(cut: str | Sequence[str]) -> tuple[str, ...]:
     """Check the words of a cut; see `make_cut`."""
-    words = (cut,) if isinstance(cut, str) else tuple(cut)
+    if not isinstance(cut, str | Sequence):
+        raise InputError(f"cut {quote(cut)}: give a word, or several in a list")
+    words = (cut,) if isinstance(cut, str) else tuple(map(str, cut))
     names = [str(word).partition("=")[0] for word in words]
     for name in names:
         check_name(name, CUTS, name="cut")
