@@ -1,6 +1,7 @@
 """Reading surfaces: round trips, files of other programs, and damaged files."""
 
 import zipfile
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from trabecula.errors import FileError, InputError, UnknownNameError
 from trabecula.mesh.check import check
 from trabecula.mesh.files import read_mesh, write_mesh
 from trabecula.mesh.formats import FORMATS
+from trabecula.mesh.threemf import _object_parts
+from trabecula.mesh.weld import drop_degenerate
 
 CUBE = trimesh.creation.box((1, 2, 3))
 
@@ -229,3 +232,20 @@ def test_what_is_no_surface_is_refused(tmp_path):
         read_mesh(tmp_path / "part.stp")
     with pytest.raises(UnknownNameError, match="unknown unit"):
         read_mesh(write_mesh(tb.mesh(np.ones((2, 2, 2), int)), tmp_path / "a.stl"), unit="parsec")
+
+
+def test_faces_with_a_corner_twice_are_dropped():
+    faces = np.array([[0, 1, 0], [0, 1, 2], [1, 1, 2], [0, 2, 2]])
+    assert drop_degenerate(faces).tolist() == [[0, 1, 2]]
+
+
+def test_a_component_of_a_3mf_is_moved_and_then_turned_with_its_part():
+    core = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
+    part, whole = ElementTree.Element("object"), ElementTree.Element("object")
+    vertices = ElementTree.SubElement(ElementTree.SubElement(part, f"{core}mesh"), "vertices")
+    ElementTree.SubElement(vertices, f"{core}vertex", x="0", y="0", z="0")
+    place = {"objectid": "1", "transform": "1 0 0 0 1 0 0 0 1 5 0 0"}
+    ElementTree.SubElement(whole, f"{core}component", place)
+    turn = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1], [0, 0, 7]], float)  # x becomes y
+    ((points, _),) = _object_parts({"1": part, "2": whole}, "2", turn, 4)
+    assert points.tolist() == [[0, 5, 7]]
