@@ -248,6 +248,7 @@ def test_fixed_voxels_have_the_spacing_of_the_result():
     for spacing, unit, good in (
         ((2.0,) * 3, "um", True),
         ((3.0, 2.0, 2.0), "um", False),
+        ((2.0, 2.0, 3.0), "um", False),
         ((2.0,) * 3, "mm", False),
     ):
         request = tb.Request(

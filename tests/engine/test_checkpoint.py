@@ -16,7 +16,7 @@ from trabecula.core.recipe import digest
 from trabecula.core.request import Request
 from trabecula.core.seeds import generator
 from trabecula.engine import checkpoint
-from trabecula.engine.checkpoint import kept_at, offer, resume, running
+from trabecula.engine.checkpoint import identity_of, kept_at, offer, resume, running
 from trabecula.synth.api import registry
 from trabecula.synth.api.method import Capabilities, Method, Model
 from trabecula.synth.noise.config import NoiseConfig
@@ -281,3 +281,18 @@ def test_the_command_line_goes_on_after_a_kill(tmp_path, sign):
     assert not part.exists()
     expected = (whole(Request(6, seed=5)) % 2).astype(np.uint8)
     assert digest(np.load(tmp_path / "rock.npy")) == digest(expected)
+
+
+def test_the_identity_of_a_run_holds_every_part_of_the_request():
+    mask, known = np.zeros((2, 8, 8, 8), bool)
+    mask[2:], known[:4] = True, True
+    fixed = tb.Image(np.arange(512).reshape(8, 8, 8) % 2, "labels")
+    parts = [
+        {}, {"seed": 1}, {"periodic": True}, {"mask": mask}, {"target": {"porosity": 0.5}},
+        {"target": {"porosity": 0.6}}, {"fixed": fixed, "known": known},
+        {"fixed": fixed, "known": ~known},
+    ]  # fmt: skip
+    found = {identity_of("noise", {}, tb.Request(8, **each), []) for each in parts}
+    found |= {identity_of("noise", {"reach": 4}, tb.Request(8), [])}
+    found |= {identity_of("noise", {}, tb.Request(8), [fixed])}
+    assert len(found) == len(parts) + 2

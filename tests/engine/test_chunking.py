@@ -58,3 +58,7 @@ def test_the_cells_that_a_box_meets(shape, side, data):
         if all(first <= place < last for place, (first, last) in zip(voxel, box, strict=True))
     }
     assert sorted(met) == sorted(cells_of(box, side))
+
+
+def test_the_box_below_ends_with_its_level():
+    assert below(((0, 3), (2, 3)), (5, 6)) == ((0, 5), (4, 6))

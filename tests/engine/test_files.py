@@ -2,11 +2,13 @@
 
 import errno
 import os
+import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from trabecula.engine.files import replacing
+from trabecula.engine.files import read_npz, replacing
 from trabecula.errors import FileError, InputError
 
 
@@ -165,3 +167,12 @@ def test_a_body_that_writes_nothing_is_told(tmp_path):
     with pytest.raises(FileError, match="cannot write"), replacing(tmp_path / "x"):
         pass
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_array_longer_than_it_says_is_damaged(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file, file.open("a.npy", "w") as member:
+        header = {"descr": "<i8", "fortran_order": False, "shape": (2,)}
+        np.lib.format.write_array_header_1_0(member, header)
+        member.write(np.arange(3).tobytes())
+    with pytest.raises(ValueError, match=r"a\.npy does not end"):
+        read_npz(tmp_path / "a.npz")

@@ -231,3 +231,13 @@ def test_the_image_is_left_alone(bimodal):
     values = bimodal[0].copy()
     tb.segment(grey(values), "dual")
     np.testing.assert_array_equal(values, bimodal[0])
+
+
+def test_a_voxel_at_the_threshold_is_void():
+    image = tb.Image(np.array([[4, 5, 6]]), "grey")
+    assert tb.segment(image, 5).values.tolist() == [[0, 0, 1]]
+
+
+def test_the_threshold_lies_in_the_middle_of_the_gap():
+    image = tb.Image(np.array([[10, 10, 50, 50, 50]], np.uint8), "grey")
+    assert tb.segment(image, "otsu").recipe.steps[-1]["threshold"] == 30

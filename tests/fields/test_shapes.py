@@ -93,3 +93,11 @@ def test_resampling_keeps_planes_and_the_box():
 def test_what_is_no_field_is_refused(make, words):
     with pytest.raises(InputError, match=words):
         make()
+
+
+def test_a_cylinder_reaches_the_nearest_side_whatever_its_length():
+    short, long = (
+        fields.radial((length, 21, 31), axis="z", inside=0, outside=1).values for length in (4, 50)
+    )
+    assert np.array_equal(short[0], long[0])
+    assert short[0, 10, 15] == 0 and short[0, 0, 15] == pytest.approx(10 / 10.5)

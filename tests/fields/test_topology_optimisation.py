@@ -229,3 +229,10 @@ def test_memory_stays_below_what_is_checked():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < _BYTES * np.prod(shape) * 1.1
+
+
+def test_a_load_is_shared_by_the_nodes_that_it_meets():
+    inside = np.ones((3, 4, 5), bool)
+    grid = ElementGrid.of(case("cantilever"), inside, edges=(1.0,) * 3, poisson=0.3)
+    wanted = np.sum([push.force for push in case("cantilever").loads], axis=0)
+    assert grid.load.sum(axis=(0, 1, 2)) == pytest.approx(wanted)

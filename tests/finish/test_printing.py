@@ -8,6 +8,7 @@ import pytest
 import trabecula as tb
 from trabecula.errors import InputError, UnknownNameError
 from trabecula.finish import fill_trapped, print_check, print_layers, thicken
+from trabecula.finish.forms import as_form
 from trabecula.finish.printers import PRINTERS
 
 
@@ -335,3 +336,22 @@ def test_the_budget_of_a_check_names_what_check_has():
         match=r"check a crop \(--crop N\), or a coarser level .* or raise --memory",
     ):
         print_check(tb.Image(rough(1), "labels", 0.5, "mm"), memory=1 << 16)
+
+
+def test_an_island_is_no_bridge():
+    solid = np.zeros((3, 12, 12), bool)
+    solid[0], solid[2, 2:9, 2:9] = True, True
+    assert print_layers.longest_reach(solid, (1.0, 1.0, 1.0)) == 0
+
+
+def test_a_dimple_of_one_layer_holds_nothing_when_the_next_is_printed():
+    block = np.ones((4, 6, 6), bool)
+    block[3, 2:4, 2:4] = False
+    assert print_layers.largest_cup(block) == 0
+    block[2, 2:4, 2:4] = False
+    assert print_layers.largest_cup(block) == 8
+
+
+def test_a_form_is_all_but_the_void():
+    form = tb.Image(np.array([[[0, 1, 2]]]), "labels", phases=("bone", "void", "binder"))
+    assert as_form(form, (1, 1, 3)).tolist() == [[[True, False, True]]]

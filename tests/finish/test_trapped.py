@@ -130,3 +130,27 @@ def test_refusals():
         trapped(hollow(), connectivity=4)
     with pytest.raises(InputError, match="open what is solid"):
         trapped(tb.Image(hollow(), "labels", phases=("pore", "bone")))
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("end", [0, -1])
+def test_a_pore_is_open_at_any_face(axis, end):
+    block = np.ones((5, 5, 5), np.uint8)
+    block[2, 2, 2] = 0
+    assert trapped(block)["pores"] == 1
+    way = [2, 2, 2]
+    way[axis] = slice(3, 5) if end else slice(0, 2)
+    block[tuple(way)] = 0
+    assert trapped(block)["pores"] == 0
+
+
+def test_what_is_open_over_an_edge_may_stay():
+    block = np.ones((4, 4, 4), np.uint8)
+    block[1, 1, 1] = block[0, 0, 1] = 0
+    assert fill_trapped(block).values[1, 1, 1] == 1
+    assert fill_trapped(block, connectivity=18).values[1, 1, 1] == 0
+
+
+def test_components_of_just_the_size_stay():
+    part = np.array([[1, 1, 1, 0, 1, 1, 0, 1]], np.uint8)
+    assert remove_floaters(part, smaller_than=2).values.tolist() == [[1, 1, 1, 0, 1, 1, 0, 0]]

@@ -272,3 +272,10 @@ def test_slices_of_a_scanner(tmp_path):
     Picture.fromarray(RAMP[0]).save(folder / "preview.png")
     with pytest.raises(FileError, match="mixes"):
         tb.read(folder)
+
+
+def test_nifti_in_a_unit_that_it_lacks_is_in_micrometres(tmp_path):
+    image = tb.Image(np.zeros((3, 4, 5), np.uint8), "grey", (750.0, 500.0, 250.0), "nm")
+    header = nibabel.load(tb.write(image, tmp_path / "a.nii")).header
+    assert header.get_zooms() == pytest.approx((0.25, 0.5, 0.75))
+    assert header.get_xyzt_units()[0] == "micron"

@@ -139,3 +139,10 @@ def test_natural_order_of_slices(order):
         for z in order:
             Picture.fromarray(np.full((2, 3), z, np.uint8)).save(Path(name) / f"s{z}.png")
         assert tb.read(name, kind="grey").values[:, 0, 0].tolist() == list(range(1, 12))
+
+
+def test_a_spacing_that_is_given_wins_over_the_files(tmp_path):
+    image = tb.Image(np.eye(8, dtype=np.uint8), "labels", 2.0, "um")
+    for name in ("a.tif", "a.npy"):
+        read = tb.read(tb.write(image, tmp_path / name), spacing=3.0, unit="mm")
+        assert (read.spacing, read.unit) == ((3.0, 3.0), "mm")

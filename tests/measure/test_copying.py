@@ -13,7 +13,7 @@ from trabecula.measure.copying import coherence, coherent_patches, diversity, so
 from trabecula.measure.copying.coherence import _sample_sites
 from trabecula.measure.copying.index import Geometry, build_tree, neighbourhoods_of, search
 from trabecula.measure.copying.kernels import FAR
-from trabecula.measure.copying.pair import prepare_pair
+from trabecula.measure.copying.pair import _coarse, prepare_pair
 
 
 def blobs(shape, *, seed, phases=2, width=3):
@@ -177,6 +177,15 @@ def test_pairs_lie_forwards_and_backwards_along_every_axis():
     ways = [np.count_nonzero(moves[:, 1, axis] == way) for axis in range(3) for way in (-4, 4)]
     assert min(ways) > 0.5 * max(ways)
     assert np.all(cubes.counts[tuple((sites[:, None] + moves)[fits].T)])
+    assert np.mean(_sample_sites(cubes, pair, [1, 4], 600, 1)[0] != sites) > 0.3
+
+
+def test_at_half_resolution_the_highest_of_equally_frequent_labels_wins():
+    quarter = np.array([0, 1, 1, 0, 0, 1, 0, 1], np.uint8).reshape(2, 2, 2)
+    assert _coarse(quarter, 0).tolist() == [[[1]]]
+    assert _coarse(quarter * 2, 0).tolist() == [[[2]]]
+    quarter[0, 0, 1] = 0
+    assert _coarse(quarter, 0).tolist() == [[[0]]]
 
 
 def test_flat_images_have_sources_too():

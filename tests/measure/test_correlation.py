@@ -284,3 +284,11 @@ def test_turning_and_mirroring_change_nothing_radial(inside, order):
     wrapped = two_point(inside, r_max=2, periodic=True)
     # Around a torus every voxel has as many partners: the void's curve is the solid's, moved.
     np.testing.assert_allclose(complement, wrapped + 1 - 2 * phi, atol=1e-12)
+
+
+@pytest.mark.parametrize("direction", [(1, -1), (1, 2), (0, -1)])
+def test_a_direction_that_runs_backwards_wraps_too(direction):
+    values = np.random.default_rng(8).random((9, 11)) < 0.4
+    found = two_point(values, r_max=2, direction=direction, periodic=True)
+    shifted = [np.roll(values, [-r * d for d in direction], (0, 1)) for r in range(3)]
+    assert found == pytest.approx([np.mean(values & there) for there in shifted])

@@ -13,6 +13,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 import trabecula as tb
+from trabecula.measure.centre_crop import centre
 from trabecula.measure.transport import permeability
 
 
@@ -248,3 +249,14 @@ def test_the_imbalance_is_the_spread_of_the_flow_over_its_mean(monkeypatch):
 def test_bad_options_are_named(options, words):
     with pytest.raises(tb.errors.InputError, match=words):
         permeability(medium(1), **options)
+
+
+def test_halving_compares_the_centre_box_with_itself(monkeypatch):
+    monkeypatch.setattr("trabecula.measure.transport.section.HALVED", 6)
+    values = medium(9, (10, 9, 8))
+    split = np.kron(centre(values, (6, 6, 6)), np.ones((2, 2, 2), np.uint8))
+    box = permeability(values, axis=0, box=6, tolerance=1e-7).value
+    fine = permeability(tb.Image(split, "labels", 0.5), axis=0, tolerance=1e-7).value
+    found = permeability(values, axis=0, tolerance=1e-7, halving=True)
+    assert found.halving == pytest.approx(fine / box - 1, rel=1e-4)
+    assert found.value != pytest.approx(box, rel=1e-3)

@@ -324,3 +324,17 @@ def test_chords_of_layers_and_of_a_ball():
     assert measure.chord_length(layers, axis=1) == float("inf")
     assert measure.chord_length(ball) == pytest.approx(4 / 3 * 20.3, rel=0.03)  # 4 V / S
     assert measure.chord_length(np.zeros((4, 4), np.uint8)) == 0
+
+
+def test_chords_along_an_axis_count_its_own_edges():
+    layers = np.broadcast_to(np.arange(32) % 8 < 3, (4, 4, 32)).astype(np.uint8)
+    image = tb.Image(layers, "labels", spacing=(5.0, 2.0, 0.5))
+    assert measure.chord_length(image, axis=2, periodic=True) == pytest.approx(3 * 0.5)
+    assert measure.chord_length(image, axis=0) == np.inf
+
+
+def test_no_sphere_is_centred_beyond_the_mask():
+    """A strut ends at the rim of the mask: beyond it lies room for larger spheres."""
+    strut, mask = np.zeros((9, 21), np.uint8), np.zeros((9, 21), bool)
+    mask[:, :10], strut[3:6, :10] = True, 1
+    assert measure.local_thickness(strut, mask=mask).max() == pytest.approx(3.5)

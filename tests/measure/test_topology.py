@@ -311,3 +311,20 @@ def test_conversions_of_periodic_axis_and_mask():
         as_axis(3, 3)
     with pytest.raises(tb.errors.InputError, match="6, 18, 26"):
         measure.euler(np.ones((2, 2, 2), bool), connectivity=14)
+
+
+@pytest.mark.parametrize(("last", "joined"), [((1, 1), 6), ((1, 2), 18), ((2, 2), 26)])
+def test_neighbours_across_a_periodic_face(last, joined):
+    """They share a face, an edge or a corner there."""
+    pair = np.zeros((4, 5, 5), bool)
+    pair[0, 1, 1] = pair[(-1, *last)] = True
+    for wide in (6, 18, 26):
+        sizes = measure.label_components(pair, connectivity=wide, periodic=(True, False, False))[1]
+        assert len(sizes) == (1 if wide >= joined else 2)
+
+
+def test_neighbours_across_two_periodic_faces_at_once():
+    pair = np.zeros((4, 5, 5), bool)
+    pair[0, 0, 2] = pair[-1, -1, 2] = True
+    for wraps, count in (((True, True, False), 1), ((True, False, False), 2)):
+        assert len(measure.label_components(pair, connectivity=18, periodic=wraps)[1]) == count

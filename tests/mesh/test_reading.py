@@ -2,6 +2,7 @@
 
 import sys
 import zipfile
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from trabecula.errors import FileError, InputError, MissingExtraError, UnknownNa
 from trabecula.mesh.check import check
 from trabecula.mesh.files import read_mesh, write_mesh
 from trabecula.mesh.formats import FORMATS
+from trabecula.mesh.threemf import _object_parts
+from trabecula.mesh.weld import drop_degenerate
 from trabecula.pipeline.inputs import load_mask
 
 CUBE = trimesh.creation.box((1, 2, 3))
@@ -303,3 +306,21 @@ def test_a_format_of_the_extra_names_it_where_it_is_missing(tmp_path, monkeypatc
     monkeypatch.setitem(sys.modules, "trimesh", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'trabecula\[mesh\]'"):
         read_mesh(tmp_path / "cube.off")
+
+
+def test_faces_with_a_corner_twice_are_dropped():
+    faces = np.array([[0, 1, 0], [0, 1, 2], [1, 1, 2], [0, 2, 2]])
+    assert drop_degenerate(faces).tolist() == [[0, 1, 2]]
+
+
+def test_a_component_of_a_3mf_is_moved_and_then_turned_with_its_part():
+    core = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
+    part, whole = ElementTree.Element("object"), ElementTree.Element("object")
+    vertices = ElementTree.SubElement(ElementTree.SubElement(part, f"{core}mesh"), "vertices")
+    ElementTree.SubElement(vertices, f"{core}vertex", x="0", y="0", z="0")
+    place = {"objectid": "1", "transform": "1 0 0 0 1 0 0 0 1 5 0 0"}
+    ElementTree.SubElement(whole, f"{core}component", place)
+    turn = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1], [0, 0, 7]], float)  # x becomes y
+    objects = {("/a.model", "1"): part, ("/a.model", "2"): whole}
+    ((points, _),) = _object_parts(objects, ("/a.model", "2"), turn)
+    assert points.tolist() == [[0, 5, 7]]

@@ -11,6 +11,7 @@ from scipy import stats
 
 import trabecula as tb
 from trabecula.measure import covariance_form, describe, floating, two_point
+from trabecula.measure.registry import AT_LEAST, AT_MOST
 from trabecula.report import verify
 from trabecula.report.band import (
     LEAST_PART,
@@ -21,8 +22,10 @@ from trabecula.report.band import (
     parts,
     value_band,
 )
-from trabecula.report.reference import independent_coherence
+from trabecula.report.metrics import Metric
+from trabecula.report.reference import _passes, independent_coherence
 from trabecula.report.summary_text import sentences
+from trabecula.report.verdict import Certificate
 
 DISTANCES = ("porosity_error", "two_point_distance", "two_point_relative", "two_point_covariance")
 
@@ -456,3 +459,22 @@ def test_textures_are_compared_without_a_threshold(kind):
     assert turned.metrics["histogram_divergence"].passed
     json.dumps(turned.to_json(), allow_nan=False)
     assert "Local orientations" in turned.to_html()
+
+
+def test_one_figure_that_fails_fails_and_open_questions_leave_it_open():
+    good, bad, shown = Metric(1.0, (0, 2), True), Metric(3.0, (0, 2), False), Metric(1.0)
+    assert Certificate({"porosity": good, "thickness": bad}).passed is False
+    assert Certificate({"porosity": good, "thickness": shown}).passed is True
+    assert Certificate({"porosity": good}, undecided=("too small",)).passed is None
+    assert Certificate({"porosity": bad}, undecided=("too small",)).passed is False
+    assert Certificate({"porosity": shown}).passed is None
+
+
+def test_a_band_has_two_ends_but_for_the_rules_of_one():
+    band = (1.0, 2.0)
+    inside = {
+        rule: [_passes(v, band, rule) for v in (0.5, 1.5, 2.5)] for rule in (AT_LEAST, AT_MOST, "")
+    }
+    assert inside == {
+        AT_LEAST: [False, True, True], AT_MOST: [True, True, False], "": [False, True, False]
+    }  # fmt: skip

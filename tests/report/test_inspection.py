@@ -12,7 +12,7 @@ from trabecula.engine.lazy_volume import as_slabs
 from trabecula.errors import InputError
 from trabecula.report.inspection import inspect
 from trabecula.report.recommend import recommend
-from trabecula.report.stationarity import find_trends
+from trabecula.report.stationarity import _inflation, find_trends
 from trabecula.report.structure import has_bodies, measure_structure
 
 SIDE = 96
@@ -349,3 +349,13 @@ def test_the_cortex_is_a_trend_and_berea_is_even(data):
     cortex = inspect(tb.read(data / "trabecular_bone_cortex_a.tif")).stationarity
     assert [trend.name for trend in cortex.trends if trend.found] == ["x"]
     assert inspect(tb.read(data / "berea_sandstone_a.tif")).stationarity.stationary is True
+
+
+def test_neighbours_that_are_alike_count_as_fewer():
+    """Correlation rho of neighbouring windows: the variance of a mean grows by (1 + rho) / (1 -
+    rho).
+    """
+    assert _inflation(np.tile([1.0, 1.0, -1.0, -1.0], 2)) == pytest.approx(
+        (1 + 1 / 7) / (1 - 1 / 7)
+    )
+    assert _inflation(np.tile([1.0, -1.0], 4)) == 1

@@ -178,3 +178,10 @@ def test_settings_that_cannot_be_are_refused(settings, says):
 def test_turned_cells_are_not_periodic(settings):
     with pytest.raises(RequestError, match="without direction and coordinates"):
         tb.method("lattice", **settings).fit().generate(32, periodic=True)
+
+
+def test_a_box_beyond_all_coordinates_is_refused():
+    model = tb.method("lattice").fit()
+    for box in (((2**30, 2**30 + 1), (0, 1), (0, 1)), ((0, 1), (0, 1), (-(2**30) - 1, 0))):
+        with pytest.raises(InputError, match="farther than"):
+            model.window(8, box)

@@ -168,3 +168,8 @@ def test_the_basis_is_that_of_the_covariance():
     assert basis.explained >= 0.5 > np.cumsum(values)[count - 2] / values.sum()
     gram = basis.vectors.T @ basis.vectors / basis.scale**2
     assert np.allclose(gram, np.eye(count), atol=1e-3)
+
+
+def test_ranks_of_another_size_take_the_values_of_their_share():
+    histogram = Histogram.of(np.array([3, 3, 8, 8]))
+    assert histogram.values_at(np.array([10, 60, 90]), 100).tolist() == [3, 8, 8]

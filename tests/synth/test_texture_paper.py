@@ -252,7 +252,7 @@ def test_an_empty_vote_is_nothing():
 
 def test_votes_of_another_volume_are_refused():
     match, weight = sites(19, (2, 2, 2))
-    with pytest.raises(InputError, match="no_votes"):
+    with pytest.raises(InputError, match="empty_votes"):
         add_votes(
             empty_votes((9, 9, 9)),
             exemplar(0),

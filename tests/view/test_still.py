@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from PIL import Image as Pillow
+from trabecula.view.cut import viewer_direction
 
 import trabecula as tb
 from trabecula.core.errors import InputError, MemoryBudgetError, UnknownNameError
 from trabecula.engine.parallel import threads
 from trabecula.view.looks import LOOKS, phase_colours, to_linear, to_srgb
-from trabecula.view.scene import place_camera
+from trabecula.view.scene import _as_drawable, place_camera
 
 BACKGROUND = np.array(LOOKS["bone"].background)
 SMALL = (160, 120)
@@ -383,3 +384,15 @@ def test_a_volume_beyond_memory_is_refused(monkeypatch):
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 30, 30), (3, 5, 70)])
 def test_thin_volumes_are_drawn(shape):
     assert material_mask(tb.render(np.ones(shape, bool), size=SMALL)).any()
+
+
+def test_azimuth_carries_the_viewer_to_the_right():
+    """From (0, 0) the viewer looks along y, x to the right; a quarter turn on he is at x."""
+    assert np.allclose(viewer_direction(0, 0), (0, -1, 0))
+    assert np.allclose(viewer_direction(90, 0), (1, 0, 0))
+    assert np.allclose(viewer_direction(90, 90), (0, 0, 1))
+
+
+def test_what_lies_at_the_threshold_is_drawn():
+    grey = tb.Image(np.array([[[4, 5, 6]]]), "grey")
+    assert _as_drawable(grey, 5).values.tolist() == [[[0, 1, 1]]]

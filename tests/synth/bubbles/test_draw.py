@@ -7,7 +7,8 @@ from scipy.spatial import cKDTree
 
 import trabecula as tb
 from trabecula.synth.bubbles.config import BubblesConfig
-from trabecula.synth.bubbles.growth_law import ABSORBED, counts_of, law_of
+from trabecula.synth.bubbles.growth_law import ABSORBED, counts_of, distance_of, law_of
+from trabecula.synth.bubbles.nucleation import repel
 
 
 def nuclei(side, *, seed=1, ndim=3, periodic=False, **settings):
@@ -97,3 +98,19 @@ def test_the_same_bubbles_on_any_grid():
     common = set(found[0]) & set(found[1])
     assert len(common) > 64
     assert max(np.abs(found[0][name] - found[1][name]).max() for name in common) < 0.02
+
+
+def test_the_density_is_of_the_plane_in_a_picture():
+    for ndim, apart in ((2, 10.0), (3, 5.0)):
+        assert distance_of(BubblesConfig(density=apart**-ndim), 1.0, ndim) == pytest.approx(apart)
+        assert distance_of(BubblesConfig(density=apart**-ndim), 0.5, ndim) == pytest.approx(
+            2 * apart
+        )
+
+
+@pytest.mark.parametrize(("off", "moves"), [(150, False), (50, True)])
+def test_bubbles_push_those_alone_that_are_nearer_than_the_distance(off, moves):
+    places = np.array([[0, 0, 0], [0, 0, off]], np.int64)
+    moved, one = np.empty_like(places), np.ones(3, np.int64)
+    repel(moved, places, np.array([0, 2]), one, 0 * one, 100.0, 40.0)
+    assert (np.diff(moved[:, 2])[0] > off) == moves and np.array_equal(moved, places) != moves

@@ -17,7 +17,7 @@ torch = pytest.importorskip("torch", reason="gan needs the extra 'learn', which 
 
 from trabecula.synth.api.exemplar_info import exemplar_info  # noqa: E402
 from trabecula.synth.api.serialize import load_model  # noqa: E402
-from trabecula.synth.gan import window  # noqa: E402
+from trabecula.synth.gan import decode  # noqa: E402
 from trabecula.synth.gan.config import GanConfig  # noqa: E402
 from trabecula.synth.gan.decode import remove_specks  # noqa: E402
 from trabecula.synth.gan.method import GanModel  # noqa: E402
@@ -80,7 +80,7 @@ def test_specks_are_taken_away_across_the_faces_of_tiles(monkeypatch):
     found = model.window(10, box, seed=3)
     part = model.window(10, tuple((first + 5, last - 7) for first, last in box), seed=3)
     assert np.array_equal(part, found[5:-7, 5:-7, 5:-7])
-    monkeypatch.setattr(window, "remove_specks", lambda labels, edge: labels)
+    monkeypatch.setattr(decode, "remove_specks", lambda labels, edge: labels)
     raw = model.window(10, tuple((first - 3, last + 3) for first, last in box), seed=3)
     wanted = remove_specks(raw, 2)[3:-3, 3:-3, 3:-3]
     assert (raw[3:-3, 3:-3, 3:-3] != wanted).sum() > 20

@@ -23,6 +23,7 @@ from trabecula.synth.noise.covariance import (
     joint_probability,
     radial_mean,
 )
+from trabecula.synth.noise.fields import Phases
 from trabecula.synth.noise.gaussian import integer_filter, white_plane
 
 
@@ -317,3 +318,15 @@ def test_a_picture_gives_a_volume_where_all_directions_are_alike():
     assert relative(two_point(layers, r_max=20, axis=0), own) > 0.1
     with pytest.raises(InputError, match="isotropic"):
         tb.method("noise", isotropic=2)
+
+
+def test_three_phases_are_cut_one_after_another():
+    phases = Phases((2, 0, 1), (0.5, 0.3, 0.2))
+    assert [phases.share(i) for i in range(3)] == pytest.approx([0.5, 0.6, 1.0])
+
+
+def test_three_phases_come_out_to_the_voxel():
+    values = np.random.default_rng(0).choice(3, (14, 14, 14), p=[0.5, 0.3, 0.2]).astype(np.uint8)
+    model = tb.method("noise", reach=3, corrections=0, exact=True).fit(tb.Image(values, "labels"))
+    found = np.bincount(model.generate(16, seed=1).values.ravel()) / 16**3
+    assert found == pytest.approx(np.bincount(values.ravel()) / values.size, abs=2 / 16**3)

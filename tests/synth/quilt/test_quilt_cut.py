@@ -92,9 +92,10 @@ def cost_of(found, made, window, patch, margin):
     st.integers(0, 10**6),
     st.sampled_from([(5, 6, 7), (1, 8, 9), (4, 4, 4)]),
     st.sampled_from([2, 4]),
+    st.sampled_from([0.0, 0.3]),
 )
-def test_the_cut_is_as_cheap_as_a_reference_solvers(seed, shape, labels):
-    window, margin, patch = scene(seed, shape, labels=labels)
+def test_the_cut_is_as_cheap_as_a_reference_solvers(seed, shape, labels, held):
+    window, margin, patch = scene(seed, shape, labels=labels, held=held)
     made, cost = cut_in(window, margin, patch)
     found = edges(window, margin, patch)
     assert cost == best_cut(found)

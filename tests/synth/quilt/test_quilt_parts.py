@@ -336,3 +336,9 @@ def test_pieces_that_pass_make_one_body(seed, connected, density):
 def test_random_patches_do_pass_sometimes():
     """Check that the test above is not empty."""
     assert sum(lay_random(seed, "solid", 0.5)[0] is not None for seed in range(12)) >= 3
+
+
+def test_a_box_goes_on_at_the_other_end_where_the_axis_wraps():
+    for wraps, wanted in ((True, [8, 9, 0, 1]), (False, [8, 9])):
+        grid = PatchGrid((1, 1, 10), (False, False, wraps), (1, 1, 4), (1, 1, 3), (0, 0, 0))
+        assert grid.indices((0, 0, 8))[2].tolist() == wanted
