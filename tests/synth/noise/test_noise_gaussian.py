@@ -327,6 +327,6 @@ def test_three_phases_are_cut_one_after_another():
 
 def test_three_phases_come_out_to_the_voxel():
     values = np.random.default_rng(0).choice(3, (14, 14, 14), p=[0.5, 0.3, 0.2]).astype(np.uint8)
-    model = tb.method("noise", reach=3, corrections=0, exact=True).fit(tb.Image(values, "labels"))
+    model = tb.method("noise", reach=4, corrections=0, exact=True).fit(tb.Image(values, "labels"))
     found = np.bincount(model.generate(16, seed=1).values.ravel()) / 16**3
     assert found == pytest.approx(np.bincount(values.ravel()) / values.size, abs=2 / 16**3)
