@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 from PIL import Image as Pillow
-from trabecula.view.cut import viewer_direction
 
 import trabecula as tb
 from trabecula.core.errors import InputError, MemoryBudgetError, UnknownNameError
 from trabecula.engine.parallel import threads
 from trabecula.view.looks import LOOKS, phase_colours, to_linear, to_srgb
-from trabecula.view.scene import _as_drawable, place_camera
+from trabecula.view.scene import _as_drawable, place_camera, viewer_direction
 
 BACKGROUND = np.array(LOOKS["bone"].background)
 SMALL = (160, 120)
