@@ -18,6 +18,8 @@ CRAFTED_SHARE = 0.3
 """Of the cases, those whose file is made to harm; the others damage a whole one."""
 MADE = "made to harm"
 
+_WHOLE = tempfile.TemporaryDirectory(prefix="fuzz-whole-")  # goes with the process
+
 
 def choose(seed: int, number: int) -> tuple[Reader, str, np.random.Generator, Any]:
     """Return the reader of a case, the name of its damage, its random numbers, and who makes it."""
@@ -56,5 +58,6 @@ def prepare() -> None:
 @cache
 def _whole(index: int) -> Path:
     """Return a whole file of a reader, made once a process."""
-    folder = Path(tempfile.mkdtemp(prefix="fuzz-whole-"))
+    folder = Path(_WHOLE.name) / str(index)
+    folder.mkdir()
     return READERS[index].write(folder)
