@@ -25,7 +25,12 @@ SKIPPED = {
 }
 UNTRIED_VERBS = ("demo", "bench")  # take minutes, whatever their arguments
 
-BINDING = ("unexpected keyword argument", "required positional argument", "required keyword-only")
+BINDING = (
+    "positional argument but",
+    "unexpected keyword argument",
+    "required positional argument",
+    "required keyword-only",
+)
 """What Python itself says of arguments that are missing or unknown, also of an inner function."""
 
 VOLUME = np.kron(HALF, np.ones((3, 3, 3), np.uint8))

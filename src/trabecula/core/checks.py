@@ -98,6 +98,14 @@ def as_shape(value: int | Sequence[int], *, ndim: int = 3, name: str = "shape") 
     return tuple(sides)
 
 
+def as_corner(value: Sequence[int]) -> tuple[int, ...]:
+    """Return the whole numbers of a place in voxels; where it may be is for the caller to check."""
+    try:
+        return tuple(int(start) for start in value)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"corner {quote(value)} is not made of integers, one per axis") from None
+
+
 def as_spacing(value: float | Sequence[float] | None, *, ndim: int) -> tuple[float, ...]:
     """Return voxel edges, one per axis, positive and finite; `None` means 1 along every axis."""
     if value is None:

@@ -290,11 +290,16 @@ def _check_fixed(request: Request) -> None:
 
 
 def _as_periodic(value: bool | Sequence[bool], ndim: int) -> tuple[bool, ...]:
-    axes = (
-        (bool(value),) * ndim
-        if isinstance(value, (bool, np.bool_))
-        else tuple(bool(axis) for axis in value)
-    )
+    try:
+        axes = (
+            (bool(value),) * ndim
+            if isinstance(value, (bool, np.bool_))
+            else tuple(bool(axis) for axis in value)
+        )
+    except (TypeError, ValueError):
+        raise InputError(
+            f"periodic is {quote(value)}: give True or False, or one of them for each axis"
+        ) from None
     if ndim == 2 and len(axes) == 3 and (all(axes) or not axes[0]):
         axes = axes[1:]
     if len(axes) != ndim:

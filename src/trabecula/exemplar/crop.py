@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trabecula.core.checks import as_shape
+from trabecula.core.checks import as_corner, as_shape, check_type
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, with_values
 
@@ -27,11 +27,12 @@ def crop(image: Image, size: int | Sequence[int], *, corner: Sequence[int] | Non
     InputError
         The box is not inside the image.
     """
+    check_type(image, Image, name="image", advice="tb.Image(array, kind) makes one")
     sides = as_shape(size, ndim=image.ndim, name="crop")
     if corner is None:
         first = tuple((have - want) // 2 for have, want in zip(image.shape, sides, strict=True))
     else:
-        first = tuple(int(start) for start in corner)
+        first = as_corner(corner)
     if len(first) != image.ndim or any(
         start < 0 or start + side > have
         for start, side, have in zip(first, sides, image.shape, strict=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from trabecula.core.checks import as_number
+from trabecula.core.checks import as_number, as_path_text
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.storage import Remote, path_or_remote
@@ -139,7 +139,7 @@ def write(image: Image | ArrayLike, path: str | os.PathLike[str]) -> Path | Remo
         Voxels that the format cannot hold.
     """
     image = as_image(image)
-    text, place = os.fspath(path), path_or_remote(path)
+    text, place = as_path_text(path), path_or_remote(path)
     if isinstance(place, Remote):
         return check_stored(place).write(image, place)
     form = SLICES if text.endswith(("/", os.sep)) and suffix_of(text) is None else format_of(text)

@@ -225,7 +225,10 @@ def _bytes(whole: _File, data: bytes, need: int, *, coded: bool) -> bytes:
     rest = data[_base64_length(head) if coded else head :]
     packed = memoryview(_decode_base64(rest, sum(lengths)) if coded else rest)
     ends = np.cumsum([0, *lengths])
-    raw = b"".join(zlib.decompress(packed[a:b]) for a, b in pairwise(ends))
+    # Of each block no more than the header says, and a byte by which a longer one is told.
+    raw = b"".join(
+        zlib.decompressobj().decompress(packed[a:b], size + 1) for a, b in pairwise(ends)
+    )
     if len(raw) != need:
         raise ValueError(f"it holds {len(raw)} bytes of voxels, its extent asks for {need}")
     return raw

@@ -63,9 +63,13 @@ def as_periodic(value: bool | Sequence[bool], ndim: int) -> tuple[bool, ...]:
     them.
     """
     wraps = (value,) * ndim if isinstance(value, (bool, np.bool_)) else value
-    if not isinstance(wraps, (Sequence, np.ndarray)) or not all(
-        isinstance(wrap, (int, float, np.bool_, np.number)) and wrap in (False, True)
-        for wrap in wraps
+    if (
+        not isinstance(wraps, (Sequence, np.ndarray))
+        or np.ndim(wraps) != 1
+        or not all(
+            isinstance(wrap, (int, float, np.bool_, np.number)) and wrap in (False, True)
+            for wrap in wraps
+        )
     ):
         raise InputError(
             f"periodic is {quote(value)}: give True or False, or one of them for each of the "

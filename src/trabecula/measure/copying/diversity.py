@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.checks import quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels
 from trabecula.measure.copying.coherence import coherence
@@ -58,6 +59,8 @@ def diversity(
     InputError
         Fewer than two images, different shapes, or images too small for `coherence`.
     """
+    if not isinstance(images, Sequence):
+        raise InputError(f"images is {quote(images)}: give two or more in a list")
     parts = [as_image(image) for image in images]
     if len(parts) < 2:
         raise InputError(f"diversity compares two or more images, got {len(parts)}")
