@@ -2,6 +2,7 @@
 `trabecula.testing`. A new method is tested by being there.
 """
 
+import functools
 import importlib.util
 
 import pytest
@@ -16,7 +17,8 @@ CHEAP = {"lattice", "noise"}
 """Methods for which `make test` makes every check."""
 
 SHARED = {
-    "threads": {"bubbles", "chen", "mrf", "quilt", "texture"},
+    "parts": {"chen", "gan", "kopf", "quilt", "texture"},
+    "threads": {"chen", "mrf", "quilt", "texture"},
     "slabs": {"kopf", "quilt", "sliced", "texture"},
     "presets": {"kopf", "quilt", "texture"},
     "blocks": {"bubbles", "chen", "quilt", "texture"},
@@ -46,18 +48,19 @@ def _cases():
     return cases
 
 
-@pytest.fixture(scope="module")
-def case(request):
-    for extra in methods()[request.param].extras:
+@functools.cache
+def _case_of(name):
+    """Return the case of a method, with a model and a result that its checks share."""
+    return MethodCase(name)
+
+
+@pytest.mark.parametrize(("name", "check"), _cases())
+def test_the_contract(name, check):
+    for extra in methods()[name].extras:
         if importlib.util.find_spec(NEEDS[extra]) is None:
-            pytest.skip(f"{request.param} needs the extra {extra!r}, which is not installed")
-    return MethodCase(request.param)
-
-
-@pytest.mark.parametrize(("case", "check"), _cases(), indirect=["case"])
-def test_the_contract(case, check):
+            pytest.skip(f"{name} needs the extra {extra!r}, which is not installed")
     try:
-        METHOD_CHECKS[check](case)
+        METHOD_CHECKS[check](_case_of(name))
     except Inapplicable as reason:
         pytest.skip(str(reason))
 

@@ -55,6 +55,7 @@ def test_the_same_material_fails_nowhere_and_no_picture_decides_what_lies_in_spa
     )
 
 
+@pytest.mark.whole
 def test_figures_are_means_over_slices_of_every_plane(picture, volume, certificate):
     slices = [each for plane in ("yx", "zx", "zy") for each in take_slices(volume, plane)]
     assert len(slices) == 24

@@ -58,6 +58,7 @@ def test_a_periodic_tile_repeats_without_a_seam(bone, novelty):
     assert np.mean(tile.values[0] != tile.values[-1]) < 2 * steps
 
 
+@pytest.mark.whole
 def test_a_form_is_filled_and_nothing_lies_outside(bone, model, new):
     z, y, x = np.indices((60, 50, 56))
     ball = (z - 30) ** 2 + (y - 25) ** 2 + (x - 28) ** 2 < 23**2
