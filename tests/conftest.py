@@ -63,6 +63,7 @@ def pytest_collection_modifyitems(config, items):
         items.sort(key=lambda item: files.index(item.path))
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """Give a process the tests of a file one after the other, and of the contract those of a
     method: they share fixtures.
