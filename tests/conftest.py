@@ -3,7 +3,6 @@
 import functools
 import os
 import random
-import tempfile
 from pathlib import Path
 
 import pytest
@@ -39,8 +38,7 @@ def bone() -> tb.Image:
 
 
 # A first call may compile a kernel, so a time limit on one example says nothing. The suite tries
-# the same examples every
-# time; HYPOTHESIS_EXAMPLES=1000 looks for new ones.
+# the same examples every time; HYPOTHESIS_EXAMPLES=1000 looks for new ones.
 _SEARCH = os.environ.get("HYPOTHESIS_EXAMPLES")
 settings.register_profile("same", deadline=None, derandomize=True)
 settings.register_profile("search", deadline=None, max_examples=int(_SEARCH or 100))
@@ -60,7 +58,8 @@ def pytest_collection_modifyitems(config, items):
         rank.shuffle(items)
         files = sorted({item.path for item in items})
         rank.shuffle(files)
-        items.sort(key=lambda item: files.index(item.path))
+        place = {file: number for number, file in enumerate(files)}
+        items.sort(key=lambda item: place[item.path])
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -83,9 +82,8 @@ def pytest_xdist_make_scheduler(config, log):
 def _compile_in_one_process() -> None:
     """Let a process wait for a kernel that another compiles, and load it from the cache."""
     compile_alone = Dispatcher.compile
-    run = os.environ["PYTEST_XDIST_TESTRUNUID"]
-    folder = Path(tempfile.gettempdir()) / f"trabecula-compiling-{run}"
-    folder.mkdir(exist_ok=True)
+    folder = Path(__file__).resolve().parents[1] / "build" / "compiling"
+    folder.mkdir(parents=True, exist_ok=True)
 
     @functools.wraps(compile_alone)
     def compile_or_wait(self, signature):

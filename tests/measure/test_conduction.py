@@ -161,8 +161,7 @@ def test_bounds_are_never_violated(values, low):
     assert all(harmonic - 1e-5 <= value <= arithmetic + 1e-5 for value in found)
     assume(0 < f < 1)
     # Hashin and Shtrikman's upper bound for any anisotropy (Milton and Kohn 1988,
-    # doi:10.1016/0022-5096(88)90001-4); with
-    # three equal values it is the well-known one.
+    # doi:10.1016/0022-5096(88)90001-4); with three equal values it is the well-known one.
     bound = 1 / (1 - harmonic) + 2 / (1 - arithmetic)
     assert sum(1 / (1 - value) for value in found) <= bound * (1 + 1e-4)
 

@@ -45,8 +45,7 @@ def test_layers_fall_linearly():
     layers = np.zeros((44, 8, 8), np.uint8)
     layers[np.arange(44) % 11 < 6] = 1
     # A segment of r + 1 voxels fits 6 - r times into a layer of 6, once per period of 11; the
-    # window holds 4 whole
-    # periods.
+    # window holds 4 whole periods.
     assert lineal_path(layers, r_max=6, axis=0).tolist() == pytest.approx(
         [4 * (6 - r) / (44 - r) for r in range(7)]
     )

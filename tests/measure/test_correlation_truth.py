@@ -27,9 +27,8 @@ def overlapping_spheres(seed, *, side, radius, count):
 
 def test_overlapping_spheres_follow_their_formula():
     # Torquato 2002, chapter 5: between overlapping spheres S2 = exp(-n V(r)), V the union of two
-    # spheres r apart; for
-    # a count that is fixed, (1 - V / volume)^count, without any error of voxels, since a voxel is
-    # its centre.
+    # spheres r apart; for a count that is fixed, (1 - V / volume)^count, without any error of
+    # voxels, since a voxel is its centre.
     side, radius, count, seeds = 44, 7.0, 40, 30
     r = np.arange(21)
     union = (

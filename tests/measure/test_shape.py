@@ -102,8 +102,7 @@ def test_wide_euler_number_counts_cells(inside):
 @given(volumes | pictures)
 def test_narrow_euler_number_is_the_dual_of_the_wide_one(inside):
     # The open cells of the outside and the closed cells of the inside fill an open box, whose
-    # signed count of cells
-    # is (-1)^d.
+    # signed count of cells is (-1)^d.
     narrow, wide, sign = (6, 26, 1) if inside.ndim == 3 else (4, 8, -1)
     outside = np.pad(~inside, 1, constant_values=True)
     assert measure.euler(outside, connectivity=narrow) == 1 + sign * measure.euler(

@@ -1,5 +1,6 @@
 """Reading surfaces: round trips, files of other programs, and damaged files."""
 
+import json
 import sys
 import zipfile
 from xml.etree import ElementTree
@@ -299,6 +300,30 @@ def test_damage_that_trimesh_finds_is_told_in_one_line(tmp_path):
     (tmp_path / "none.gltf").write_text('{"asset": {"version": "2.0"}}', encoding="ascii")
     with pytest.raises(FileError, match=r"holds no triangles|cannot read"):
         read_mesh(tmp_path / "none.gltf")
+
+
+def test_a_compressed_body_is_refused_and_not_read_as_zeros(tmp_path):
+    draco = "KHR_draco_mesh_compression"
+    body = {"attributes": {"POSITION": 1}, "indices": 0, "mode": 4}
+    packed = {"bufferView": 0, "attributes": {"POSITION": 0}}
+    content = {
+        "asset": {"version": "2.0"},
+        "extensionsUsed": [draco],
+        "extensionsRequired": [draco],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{**body, "extensions": {draco: packed}}]}],
+        "accessors": [
+            {"componentType": 5125, "type": "SCALAR", "count": 36},
+            {"componentType": 5126, "type": "VEC3", "count": 8},
+        ],
+        "buffers": [{"byteLength": 6, "uri": "data:;base64,RFJBQ08x"}],
+        "bufferViews": [{"buffer": 0, "byteOffset": 0, "byteLength": 6}],
+    }
+    (tmp_path / "small.gltf").write_text(json.dumps(content), encoding="ascii")
+    with pytest.raises(FileError, match="without compression"):
+        read_mesh(tmp_path / "small.gltf")
 
 
 def test_a_format_of_the_extra_names_it_where_it_is_missing(tmp_path, monkeypatch):

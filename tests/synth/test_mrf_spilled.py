@@ -3,6 +3,7 @@ size in memory.
 """
 
 import pickle
+import gc
 import tracemalloc
 
 import numpy as np
@@ -147,12 +148,11 @@ def test_spilled_no_array_of_the_volume_is_in_memory(kind, parts, pictures, tmp_
     model = tb.method("mrf", sweeps=(1,), scales=2, candidates=128, reach=5, polish=0).fit(
         pictures[kind]
     )
-    # so that loading kernels is not counted
-    model.make(Request(SHAPE, seed=1, **split_request(pictures[kind], parts)))
     peaks = []
-    for depth in (22, 88):
+    for depth in (22, 22, 88):
         form = {"mask": np.ones((depth, 30, 34), bool)} if parts else {}
         request = Request((depth, 30, 34), seed=1, **form)
+        gc.collect()
         with tb.threads(1), memmap.map_large_arrays(tmp_path, memory=1 << 16):
             tracemalloc.start()
             model.make(request)
@@ -161,5 +161,6 @@ def test_spilled_no_array_of_the_volume_is_in_memory(kind, parts, pictures, tmp_
         with tb.threads(1):
             plan = model.resident_memory(request)
         assert set(plan) == {"interpreter and kernels", "exemplar", "tables", "slab"}
-        assert peaks[-1] <= plan["tables"] + plan["slab"], "a slab takes more than was forecast"
+    del peaks[0]  # it loaded kernels
+    assert peaks[1] <= plan["tables"] + plan["slab"], "a slab takes more than was forecast"
     assert peaks[1] <= 1.1 * peaks[0], peaks

@@ -88,8 +88,7 @@ def _as_value(value: Any, shape: tuple[int, ...], *, name: str) -> Target:
     if field.dtype.kind not in "iuf":
         raise InputError(
             f"the target {name} is {quote(value)}: give a number{_between(low, high)}, or a field "
-            "of "
-            "them"
+            "of them"
         )
     check_finite(field, name=f"the target {name}")
     if field.ndim and field.shape != shape:

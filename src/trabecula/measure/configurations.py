@@ -154,15 +154,13 @@ def cube_euler(connectivity: int) -> np.ndarray:
         faces = sum(corner[:, side].all(axis=1) for side in sides) / 2
         return corner.sum(axis=1) / 8 - edges + faces - corner.all(axis=1)
     # Around the common vertex: itself, six half edges (four voxels each), twelve quarter faces
-    # (two), eight eighths
-    # of a voxel.
+    # (two), eight eighths of a voxel.
     half_edges = sum(corner[:, side].any(axis=1) for side in sides) / 2
     quarter_faces = sum(corner[:, pair].any(axis=1) for pair in pairs) / 4
     table = corner.any(axis=1) - half_edges + quarter_faces - corner.sum(axis=1) / 8
     if connectivity == 18:
         # Two voxels that share this vertex and nothing else: cut apart, each keeps a vertex of its
-        # own. A third voxel
-        # would share an edge or a face with both.
+        # own. A third voxel would share an edge or a face with both.
         for i in range(4):
             table[1 << i | 1 << (7 - i)] += 1
     return table

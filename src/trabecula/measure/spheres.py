@@ -15,8 +15,7 @@ from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
 
 # Neighbours in the margined array, nearest first: they are the likeliest to hold the sphere. The
-# last number is the
-# row of `_containment`.
+# last number is the row of `_containment`.
 _STEPS = tuple(
     (z + 1, y + 1, x + 1, 4 * abs(z) + 2 * abs(y) + abs(x))
     for z, y, x in sorted(product((-1, 0, 1), repeat=3), key=lambda step: sum(map(abs, step)))

@@ -93,7 +93,7 @@ def read_mesh(path: str | PathLike[str], *, unit: str | None = None) -> Mesh:
     check_there(path)
     if unit is not None:
         check_unit(unit)
-    also = (zipfile.BadZipFile, StopIteration, ImportError)
+    also = (zipfile.BadZipFile, StopIteration)
     with report_damage(path, path.suffix[1:].upper(), also=also):
         mesh = form.member("read")(path)
     if not len(mesh.faces):

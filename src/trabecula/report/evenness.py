@@ -234,8 +234,7 @@ def _trend_limits(
     noise = student(round(freedom, 1), level) * math.sqrt(variance * ratio**exponent)
     names = ("z", "y", "x")[3 - len(extents) :]
     # A line through white noise of variance v a unit volume changes by sqrt(12 v / V) from end to
-    # end; what runs to the centre
-    # has the variance of the depth instead of 1 / 12.
+    # end; what runs to the centre has the variance of the depth instead of 1 / 12.
     grid = [max(3, round(24 * length / max(extents))) for length in extents]
     depth = float(depth_of((1,) * (3 - len(extents)) + tuple(grid)).std())
     return {**dict.fromkeys(names, math.sqrt(12) * noise), "centre": noise / depth}

@@ -234,8 +234,7 @@ def _corners(parent, total, weights, first, entry):
         for i in range(first[n], first[n + 1]):
             cell, corner = entry[i] // 8, entry[i] % 8
             # Supporting corners come in the same order in every cell around the node: axes along
-            # which it is
-            # between two coarse planes are the same for all of them.
+            # which it is between two coarse planes are the same for all of them.
             count = 0
             for s in range(8):
                 if _supports(weights, cell, corner, s) > 0.0:

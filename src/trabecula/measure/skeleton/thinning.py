@@ -110,8 +110,7 @@ def _peel(state, sides, steps, changes):
             for n in range(candidates):
                 at = chosen[n]
                 # Whether it is an end by now is not asked: a pimple of the surface, whose
-                # neighbours have just gone, would
-                # become a branch.
+                # neighbours have just gone, would become a branch.
                 if not is_simple(neighbourhood(state, at, steps), changes):
                     continue
                 removed += 1

@@ -400,7 +400,7 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         if "field" not in self.work or self.balance is None:
             return {}
         words = json.dumps([self.energies, asdict(self.balance)]).encode()
-        arrays = {name: self.work[name] for name in ("match0", "field")}
+        arrays = {"match": self.work["match0"], "field": self.work["field"]}
         arrays["words"] = np.frombuffer(words, np.uint8)
         return arrays if self.debt is None else {**arrays, "debt": self.debt}
 
@@ -409,8 +409,8 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         self.energies, balance = json.loads(bytes(arrays["words"]))
         self.balance = Balance.from_json(balance)
         self._open(stage)
-        for name in ("match0", "field"):
-            self.work.adopt(name, arrays[name])
+        self.work.adopt("match0", arrays["match"])
+        self.work.adopt("field", arrays["field"])
         self.debt = arrays.get("debt")
 
 

@@ -393,9 +393,9 @@ class NovelRounds(CoarseToFine[Any]):
         """Return all that the next round starts from; after the last one the votes as well."""
         if isinstance(stage, NovelLayoutStage):
             return {"votes": self.work["votes"]}
-        names = ["field", "match0"]
-        names += ["votes"] if stage.last and number == stage.rounds - 1 else []
-        arrays = {name: self.work[name] for name in names}
+        arrays = {"field": self.work["field"], "match": self.work["match0"]}
+        if stage.last and number == stage.rounds - 1:
+            arrays["votes"] = self.work["votes"]
         return arrays if self.debt is None else {**arrays, "debt": self.debt}
 
     def restore(self, stage: NovelLayoutStage | PassStage, arrays: dict[str, np.ndarray]) -> None:
@@ -405,6 +405,7 @@ class NovelRounds(CoarseToFine[Any]):
             self.work.enter("match")
         else:
             self._open(stage, "match")
+            self.work.adopt("match0", arrays.pop("match"))
         for name, array in arrays.items():
             self.work.adopt(name, array)
 

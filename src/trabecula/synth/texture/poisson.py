@@ -117,8 +117,7 @@ def _solve(
     for_slabs(partial(_begin, *system, field, inverse, rest, along, part), planes)
     old, size = total()
     # The preconditioned rest is the error of a voxel whose neighbours are right. Where they err
-    # alike, the diagonal overstates
-    # what holds a voxel in its place by this ratio.
+    # alike, the diagonal overstates what holds a voxel in its place by this ratio.
     paired, weight, held = sum_slabs(partial(_count_votes, pairs, weights), planes).tolist()
     ratio = 1 + 2 * float(mu) * paired / max(weight, 1)
     enough = (tolerance / ratio) ** 2 * held

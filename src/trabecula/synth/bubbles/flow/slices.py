@@ -189,8 +189,7 @@ class MaskSlices:
         if not self._silhouette:
             return Slice(centre, extent_of(plane), centres)
         # Thickness and cells are voxels of the finer axis. A gradient is per length; turned by 90
-        # degrees its components
-        # change places, and so do the edges.
+        # degrees its components change places, and so do the edges.
         rows, columns, every = along_outline(plane, self._silhouette / min(self._edges))
         along = unit((rows * self._edges[0], columns * self._edges[1]))
         return Slice(centre, extent_of(plane), centres, pack_int8(np.stack(along, axis=-1)), every)
