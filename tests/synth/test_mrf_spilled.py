@@ -2,8 +2,8 @@
 size in memory.
 """
 
-import pickle
 import gc
+import pickle
 import tracemalloc
 
 import numpy as np
