@@ -98,6 +98,7 @@ def test_the_unfinished_store_may_be_named_and_the_exemplar_moved(interrupted, t
     assert done.sha256 == interrupted
 
 
+@pytest.mark.whole
 def test_another_exemplar_is_refused_and_nothing_lost(interrupted):
     kept = sorted(Path("big.zarr.part").rglob("*"))
     np.save("scan.npy", tb.crop(tb.sample("foam"), 24).values)
@@ -260,6 +261,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.whole
 @pytest.mark.skipif(os.name != "posix", reason="kill -9 is of POSIX")
 def test_killed_again_and_again_and_resumed_by_the_command(place):
     """Kill runs of 30 blocks and coarser levels; the first command is typed once, then only

@@ -48,6 +48,7 @@ def test_less_memory_than_a_plane_is_refused_in_one_line(foam):
     assert told.status == 2 and "--crop" in told.lines[-1]
 
 
+@pytest.mark.whole
 def test_the_surface_of_what_does_not_fit_is_the_same_file(tmp_path):
     column = tb.write(tb.Image(smooth_noise((400, 24, 24)), "labels"), tmp_path / "column.zarr")
     whole = trabecula("export", column, "--out", tmp_path / "whole.stl")

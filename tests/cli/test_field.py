@@ -168,6 +168,7 @@ def test_a_kind_is_asked_for(place):
     assert "invalid choice: 'rmap'" in attempt("field", "rmap", "--out", "a.tif").err
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("target", "says"),
     [

@@ -200,6 +200,7 @@ def grey(place, bone):
     return values
 
 
+@pytest.mark.whole
 def test_a_grey_scan_is_segmented_by_the_threshold_that_is_found(grey):
     image, output = generate("grey.npy")
     (found,) = otsu(grey)
@@ -265,6 +266,7 @@ def test_three_phases_are_kept(electrode):
         assert volumes[phase] == pytest.approx((image.values == label).sum() * 6, rel=0.25)
 
 
+@pytest.mark.whole
 def test_anisotropic_spacing_is_kept_in_every_output(electrode, place):
     generate("electrode.tif", "--shape", 16, 18, 20)
     for name in ("made.tif", "made.npy", "made.mhd", "made.nrrd", "made.nii.gz", "made.vti"):

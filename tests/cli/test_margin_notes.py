@@ -82,6 +82,7 @@ def test_without_margins(scan):
     assert "--crop automatic" in refused("measure", "sample:foam", "--quick", "--crop", "automatic")
 
 
+@pytest.mark.whole
 def test_in_python_the_notes_say_it(scan):
     image = tb.read(scan / "scan.tif")
     assert NOTE in tb.describe(image, level="quick")["notes"][0]

@@ -168,6 +168,7 @@ def test_damaged_recipes_of_a_mask_are_told(scan_and_ball, monkeypatch, damage, 
         replay(tb.Recipe.from_json(steps), folder=scan_and_ball)
 
 
+@pytest.mark.whole
 def test_a_scan_is_continued_from_its_corner(place):
     image, output = generate("--fixed", "scan.zarr", "--at", 0, 2, 4, "--shape", 28, 32, 40)
     np.testing.assert_array_equal(image.values[:, 2:30, 4:32], tb.read("scan.zarr").values)
@@ -198,6 +199,7 @@ def test_a_grey_scan_is_fixed_at_the_exemplars_threshold(place):
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("words", "axes"), [(("--at", 12, 0, 2), "yx"), (("--at", 3, 12, 0, "--view", "xz"), "xz")]
 )
@@ -212,6 +214,7 @@ def test_a_picture_is_a_slice(place, words, axes):
     assert image.values[:12].any() and trabecula("rerun", "made.zarr").sha256 == output.sha256
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("words", "axes"),
     [

@@ -33,6 +33,7 @@ def announce(monkeypatch):
     return known
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("name", "class_name"), [("coin", "Coin"), ("dust", "Dust"), ("plates", "Plates")]
 )

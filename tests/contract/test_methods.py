@@ -17,11 +17,11 @@ CHEAP = {"lattice", "noise"}
 """Methods for which `make test` makes every check."""
 
 SHARED = {
-    "parts": {"chen", "gan", "kopf", "quilt", "texture"},
+    "parts": {"gan", "quilt", "texture"},
     "threads": {"chen", "mrf", "quilt", "texture"},
     "slabs": {"kopf", "quilt", "sliced", "texture"},
-    "presets": {"kopf", "quilt", "texture"},
-    "blocks": {"bubbles", "chen", "quilt", "texture"},
+    "presets": {"kopf", "quilt"},
+    "blocks": {"bubbles", "quilt", "texture"},
     "resume": {"bubbles", "kopf", "quilt", "sliced", "texture"},
     "recipe": {"chen", "gan", "mrf", "quilt"},
     "model file": {"chen", "gan", "kopf", "quilt", "sliced", "texture"},

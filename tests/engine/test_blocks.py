@@ -172,6 +172,7 @@ def test_what_is_no_part_is_left_alone(run, tmp_path, kind):
     assert before == (sorted(part.rglob("*")) if part.is_dir() else part.read_bytes())
 
 
+@pytest.mark.whole
 def test_the_old_store_stays_until_the_new_one_is_whole(run, tmp_path):
     run(Maker())
     with pytest.raises(KeyboardInterrupt):
@@ -217,6 +218,7 @@ def test_blocks_that_share_chunks_are_refused(run):
         run(Maker(), side=100)
 
 
+@pytest.mark.whole
 def test_a_coarser_cube_that_is_lost_or_spoilt_is_made_again_and_no_block(
     run, tmp_path, monkeypatch
 ):
@@ -237,6 +239,7 @@ def test_a_coarser_cube_that_is_lost_or_spoilt_is_made_again_and_no_block(
     )
 
 
+@pytest.mark.whole
 def test_what_a_run_left_that_was_killed_between_two_names_goes(run, tmp_path):
     run(Maker())
     (tmp_path / "x.zarr").rename(tmp_path / ".0123abcd-x.zarr")  # set aside by `put_in_place`
@@ -259,7 +262,7 @@ stream(volume(voxels), Path({path!r}), part=Path({path!r} + ".part"), side=128)
 """
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.whole)])
 def test_killed_again_and_again(run, tmp_path, seed):
     """A process that is killed at any change of any file resumes until it is done; no chunk is half
     one.

@@ -267,7 +267,12 @@ def _command(tmp_path, *, seed=5, end=None, resume=False):
     }
 
 
-@pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGINT] if os.name == "posix" else [])
+@pytest.mark.parametrize(
+    "sign",
+    [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.whole)]
+    if os.name == "posix"
+    else [],
+)
 def test_the_command_line_goes_on_after_a_kill(tmp_path, sign):
     part = tmp_path / "rock.npy.part"
     child = subprocess.run(**_command(tmp_path, end=sign), check=False)

@@ -101,6 +101,7 @@ def test_the_largest_shape_within_a_budget(shape, budget):
         assert peak([max(1, side * longest // max(shape)) for side in shape]) > budget
 
 
+@pytest.mark.whole
 def test_a_run_over_its_budget_is_told_a_shape_that_fits():
     model = tb.method("texture").fit(tb.crop(tb.sample("bone"), 32))
     with pytest.raises(

@@ -71,6 +71,7 @@ def test_a_run_begun_in_memory_goes_on_in_blocks(model, sha256, tmp_path):
     assert names(tmp_path) == ["x.zarr"]
 
 
+@pytest.mark.whole
 def test_a_run_begun_in_blocks_goes_on_with_more_memory(model, sha256, tmp_path):
     path = tmp_path / "x.zarr"
     said = stopped(model, path, 12, chunks=16)
@@ -103,6 +104,7 @@ def test_two_results_of_one_name_do_not_share_their_files(model, tmp_path):
     assert [file.read_bytes() for file in tmp_path.glob("*/state")] == state
 
 
+@pytest.mark.whole
 def test_voxels_that_are_made_are_not_made_again(model, sha256, tmp_path, monkeypatch):
     path = tmp_path / "x.zarr"
 

@@ -28,6 +28,7 @@ def joined(header, body):
     return struct.pack("<Q", len(text)) + text + body
 
 
+@pytest.mark.whole
 @given(
     st.dictionaries(
         st.text(min_size=1, max_size=8).filter(lambda name: name != "__metadata__"),

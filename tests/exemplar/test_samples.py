@@ -30,6 +30,7 @@ def test_voxels_are_golden(made, name):
     assert digest(made[name].values) == GOLDEN[name]
 
 
+@pytest.mark.whole
 def test_threads_do_not_matter(bone):
     with tb.threads(2):
         assert digest(tb.sample("bone").values) == digest(bone.values)

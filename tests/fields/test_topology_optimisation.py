@@ -90,6 +90,7 @@ def test_the_cantilever_keeps_bounds_and_volume_and_is_stiffer():
     )
 
 
+@pytest.mark.whole
 def test_no_other_density_of_that_volume_is_stiffer():
     """Check that what is between the bounds gains alike everywhere: penalty 1 without a filter is
     convex.

@@ -337,6 +337,7 @@ def with_stubs(count: int) -> np.ndarray:
     return solid
 
 
+@pytest.mark.whole
 def test_a_form_is_pruned_as_a_box_of_its_size():
     """Count the same free ends in a form, whatever its box: 4 of the exemplar's, 12 here."""
     material, exemplar = with_stubs(12), with_stubs(4)

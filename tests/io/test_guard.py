@@ -79,6 +79,7 @@ def test_frames_of_the_standard_library_are_their_callers():
             assert (library_of(error) or "").partition(" ")[0] == (found or "")
 
 
+@pytest.mark.whole
 def test_a_recipe_is_not_called_damaged_for_a_mistake_of_ours(tmp_path, monkeypatch):
     path = tb.write(tb.crop(tb.sample("bone"), 8), tmp_path / "x.npy")
     monkeypatch.setattr("trabecula.pipeline.replay._make_model", mistake_in("trabecula"))

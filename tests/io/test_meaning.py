@@ -141,6 +141,7 @@ def test_units_without_length():
             units.to_metres(unit)
 
 
+@pytest.mark.whole
 def test_real_scans(data, tmp_path):
     bone = tb.read(
         data / "trabecular_bone_a.tif", spacing=0.05, unit="mm", phases=("marrow", "bone")

@@ -166,6 +166,7 @@ def test_bounds_are_never_violated(values, low):
     assert sum(1 / (1 - value) for value in found) <= bound * (1 + 1e-4)
 
 
+@pytest.mark.whole
 @given(st.integers(0, 50), st.permutations(range(3)), st.booleans())
 def test_turning_and_mirroring_the_image_turns_the_result(seed, order, mirror):
     values, edges = medium(seed, (7, 8, 6)), (1.0, 1.5, 0.8)

@@ -272,6 +272,7 @@ def test_threads_change_nothing():
     assert curves[0] == curves[1] == curves[2]
 
 
+@pytest.mark.whole
 @settings(max_examples=25)
 @given(
     arrays(bool, array_shapes(min_dims=3, max_dims=3, min_side=5, max_side=9)),

@@ -63,6 +63,7 @@ def way(request, monkeypatch):
     monkeypatch.setattr(MODULE, "_PAIR", 0.0 if request.param == "one by one" else 1e6)
 
 
+@pytest.mark.whole
 @settings(max_examples=20)
 @given(
     arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=5, max_side=8)),

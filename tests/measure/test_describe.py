@@ -145,6 +145,7 @@ def test_refusals():
         describe(np.eye(8, dtype=np.uint8), r_max=0)
 
 
+@pytest.mark.whole
 def test_real_bone(data):
     import tifffile
 

@@ -132,6 +132,7 @@ def test_fast_sides_are_the_next_2_3_5_smooth_numbers():
     ]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("count", [1, 3])
 def test_nothing_is_written_to_the_callers_array(count):
     image = (np.random.default_rng(5).random((10, 12, 14)) < 0.5).astype(np.uint8)

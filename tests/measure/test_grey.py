@@ -82,6 +82,7 @@ def test_cosine_correlates_as_a_cosine():
     assert np.allclose(rho[:, 20], 1)  # equal along y
 
 
+@pytest.mark.whole
 @given(
     arrays(
         np.float32,

@@ -92,6 +92,7 @@ def test_euler_numbers_of_known_bodies(connectivity):
         assert measure.euler(body.astype(np.uint8), connectivity=connectivity) == number
 
 
+@pytest.mark.whole
 @given(volumes | pictures)
 def test_wide_euler_number_counts_cells(inside):
     wide = 26 if inside.ndim == 3 else 8
@@ -233,6 +234,7 @@ def largest_spheres(inside, region, spacing, periodic):
     return expected
 
 
+@pytest.mark.whole
 @settings(max_examples=40)
 @given(
     arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=3, max_side=5)),

@@ -91,6 +91,7 @@ def test_periodic_layers_and_their_densities():
     assert measure.minkowski(layers).volume == pytest.approx((0.5 + 5) / 19)
 
 
+@pytest.mark.whole
 @given(volumes, st.tuples(*[st.integers(0, 5)] * 3))
 def test_periodic_figures_do_not_depend_on_the_origin(inside, shift):
     moved = roll(inside, shift)
@@ -130,6 +131,7 @@ def test_periodic_euler_numbers_of_the_two_sides_are_dual(inside):
     assert narrow == wide
 
 
+@pytest.mark.whole
 @given(volumes, arrays(bool, (6, 6, 6)))
 def test_masked_densities_count_the_cubes_inside_the_mask(inside, mask):
     mask = mask[tuple(map(slice, inside.shape))]

@@ -274,6 +274,7 @@ def test_gltf_joins_the_bodies_of_its_scene_in_metres(tmp_path, suffix):
     assert found.volume == pytest.approx(7) and found.bounds[1] == pytest.approx((5.5, 1, 1.5))
 
 
+@pytest.mark.whole
 def test_off_is_a_form_to_fill_and_an_open_one_is_refused(tmp_path):
     trimesh.creation.icosphere(radius=6).export(tmp_path / "ball.off")
     bone = tb.crop(tb.sample("bone"), 16)

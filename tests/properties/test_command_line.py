@@ -66,6 +66,7 @@ def told(*line):
     return output
 
 
+@pytest.mark.whole
 @few
 @given(
     st.sampled_from([*VERBS, "generat", ""]).filter(lambda verb: verb not in ("demo", "bench")),

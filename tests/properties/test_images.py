@@ -3,6 +3,7 @@ order or axes.
 """
 
 import numpy as np
+import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -20,6 +21,7 @@ def segmented(values, threshold="otsu"):
     return tb.segment(tb.Image(values, "grey"), threshold).values
 
 
+@pytest.mark.whole
 @given(
     greys,
     st.sampled_from([0.25, 2.0, 1024.0]),
@@ -56,6 +58,7 @@ def _scores(values):
     return sorted(found, reverse=True)
 
 
+@pytest.mark.whole
 @given(greys, st.data())
 def test_axes_do_not_matter(values, data):
     axes = data.draw(st.permutations(range(values.ndim)))
@@ -66,6 +69,7 @@ def test_axes_do_not_matter(values, data):
     )
 
 
+@pytest.mark.whole
 @given(greys, st.data())
 def test_a_crop_of_a_crop_is_a_crop(values, data):
     outer = [data.draw(st.integers(1, side)) for side in values.shape]

@@ -252,6 +252,7 @@ def test_bands_narrow_as_the_image_grows(exemplar):
     assert widths[1] / widths[0] == pytest.approx(np.sqrt((1 / 64 + 1 / 8) / (2 / 8)), rel=0.25)
 
 
+@pytest.mark.whole
 def test_bands_hold_the_exemplar_and_know_its_parts(exemplar):
     pieces = list(parts(exemplar))
     assert len(pieces) == 8 and {piece.shape for piece in pieces} == {(32, 32, 32)}

@@ -19,6 +19,7 @@ def pair():
     return foam((50, 52, 54), 1), foam((70, 40, 44), 2)
 
 
+@pytest.mark.whole
 def test_figures_and_verdicts_are_those_of_the_whole(pair):
     exemplar, image = pair
     whole = tb.verify(exemplar, image, level="quick")

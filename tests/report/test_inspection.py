@@ -112,6 +112,7 @@ def test_shading_of_a_grey_scan_is_in_its_own_values():
     )
 
 
+@pytest.mark.whole
 def test_a_lattice_is_regular_and_gets_moved_pieces():
     found = inspect(lattice())
     assert found.structure.period is not None and all(
@@ -123,6 +124,7 @@ def test_a_lattice_is_regular_and_gets_moved_pieces():
     assert tb.method("texture", preset="best").config.novelty == 0
 
 
+@pytest.mark.whole
 def test_noise_in_a_lattice_hides_nothing():
     values = lattice().values * 100.0 + np.random.default_rng(0).normal(100, 40, (SIDE,) * 3)
     found = measure_structure(tb.Image(values, "grey"))
@@ -242,6 +244,7 @@ def test_margins_are_left_out_of_the_figures():
     assert "--crop auto keeps 96 x 96 x 96" in str(found)
 
 
+@pytest.mark.whole
 def test_thin_parts_are_named():
     thin = np.zeros((48, 48, 48), np.uint8)
     thin[::8, ::8] = thin[:, ::8, ::8] = thin[::8, :, ::8] = 1

@@ -41,7 +41,7 @@ class Nesting(HTMLParser):
 def certificate():
     rng = np.random.default_rng(0)
     exemplar, image = (
-        tb.Image(rng.random((50, 50, 50)) < p, "labels", spacing=2.0, unit="um") for p in (0.5, 0.4)
+        tb.Image(rng.random((48, 48, 48)) < p, "labels", spacing=2.0, unit="um") for p in (0.5, 0.3)
     )
     return verify(exemplar, image, names=["<worse & worse>"])
 

@@ -80,6 +80,7 @@ def test_other_samples_of_a_material_seldom_fail():
     assert sum(map(len, wrong)) <= 4
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["hollow", "graded", "halves"])
 def test_an_uneven_sample_fails(name):
     exemplar, other = tb.Image(gaussian(1), "labels"), tb.Image(gaussian(2), "labels")

@@ -76,6 +76,7 @@ def test_figures_are_means_over_slices_of_every_plane(picture, volume, certifica
     assert found.value == pytest.approx(np.linalg.norm(form - own) / np.linalg.norm(own))
 
 
+@pytest.mark.whole
 def test_what_only_a_volume_has_is_told_and_not_judged(volume, certificate):
     numbers = describe(volume)
     for name in (

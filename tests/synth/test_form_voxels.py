@@ -121,6 +121,7 @@ def test_a_surface_keeps_its_size_in_python_as_on_the_command_line(scan, tmp_pat
     )
 
 
+@pytest.mark.whole
 def test_the_size_is_written_and_made_again(scan, tmp_path):
     tb.write(tb.Image(scan, "labels"), tmp_path / "scan.zarr")
     tb.write(tb.Image(ball(), "labels", 0.5, "mm"), tmp_path / "form.zarr")
@@ -166,6 +167,7 @@ def test_a_unit_that_is_known_is_no_reason_for_a_word(scan):
     assert not [line for line in said if "mask" in line]
 
 
+@pytest.mark.whole
 def test_bare_numbers_of_a_surface_are_said(scan, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     tb.export(tb.Image(ball(), "labels"), "plain.obj")

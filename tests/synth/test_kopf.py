@@ -87,6 +87,7 @@ def test_the_picture_as_middle_slice_stays_and_is_gone_on_from(bone, model):
     assert joint < 0.6 * np.mean(apart[[15, 17]] != made[16]), "no better than an independent slice"
 
 
+@pytest.mark.whole
 def test_a_form_is_filled_and_nothing_lies_outside(bone, model):
     z, y, x = np.indices((34, 34, 34)) - 17
     ball = z**2 + y**2 + x**2 < 15**2

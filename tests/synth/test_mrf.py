@@ -55,6 +55,7 @@ def neighbours_of(site, axes, width, shape):
     }
 
 
+@pytest.mark.whole
 @settings(max_examples=25)
 @given(
     shape=st.tuples(*[st.integers(5, 13)] * 3),
@@ -225,6 +226,7 @@ def test_gibbs_draws_from_the_exact_conditional():
     )
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("kind", ["labels", "grey"])
 def test_icm_is_the_literal_loop(kind):
     """Check figure 1, left: arg max with (1 - t)^2, then equation 8; two sweeps of a small lattice,

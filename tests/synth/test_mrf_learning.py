@@ -122,6 +122,7 @@ def test_two_groups_are_settled_at_once_from_any_start():
     assert np.ptp([shift[1] - shift[0] for shift in found]) <= 512
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("spread", [0.5, 6, 300])
 @pytest.mark.parametrize("heat", [2.0, 1.0, 0.4])
 def test_several_groups_come_to_the_shifts_of_iterative_scaling(spread, heat):
@@ -376,6 +377,7 @@ def test_strengths_go_to_a_finer_scale_at_twice_the_distance():
     assert pulled.any(), "they count from the first sweep on"
 
 
+@pytest.mark.whole
 def test_learning_drives_a_field_of_pairs_alone_to_the_pictures_autocorrelation():
     """Check spins with nothing but their couplings, drawn a third at a time by their
     conditional.

@@ -116,6 +116,7 @@ def test_periodic_axes_go_on_without_a_seam(model):
     assert seam > inside - 0.05
 
 
+@pytest.mark.whole
 def test_too_thin_for_a_period_is_refused(model):
     with pytest.raises(RequestError, match="z is 5 voxels"):
         model.generate((5, 32, 32), seed=1, periodic=(True, False, False))

@@ -205,6 +205,7 @@ def test_a_slope_is_that_of_central_differences_averaged(wraps):
     assert np.allclose(found, np.maximum(mean, 1), rtol=1e-5)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("periodic", [OPEN, AROUND])
 def test_the_forecast_of_a_step_holds(periodic):
     field = smooth((64, 60, 72), 4)
@@ -231,6 +232,7 @@ def resident_bytes(stages):
     return max(stage.working for stage in stages)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("run", "forecast"),
     [
@@ -324,6 +326,7 @@ def test_interrupted_it_goes_on_bit_for_bit(
     assert len(done) == call + left
 
 
+@pytest.mark.whole
 def test_a_layout_goes_on_bit_for_bit(tmp_path, monkeypatch):
     """Of `sliced`: what is kept is the field."""
     monkeypatch.setattr(checkpoint, "EVERY", 0.0)

@@ -70,6 +70,7 @@ def test_a_smooth_field_is_shifted_until_its_shares_are_those_asked_for():
     assert errors[1] < 0.02 < 0.08 < errors[0]
 
 
+@pytest.mark.whole
 def test_the_local_fraction_follows_the_ramp(graded, ramp):
     size = 24
     have = fields.windowed(graded, size=size)["volume_fraction"]
@@ -91,6 +92,7 @@ def test_a_flat_field_is_a_number_and_porosity_the_complement(model):
     assert digest(made[0].values) == digest(made[1].values) == digest(made[2].values)
 
 
+@pytest.mark.whole
 def test_names_of_phases_count_and_not_their_order(bone, model):
     small = tb.crop(bone, 48)
     turned = tb.Image(1 - small.values, "labels", small.spacing, small.unit, ("solid", "void"))

@@ -83,6 +83,7 @@ def test_material_is_flush_to_the_surface_of_its_form(model):
     assert rim.mean() == pytest.approx(profile[20:40].mean(), rel=0.25)
 
 
+@pytest.mark.whole
 def test_a_form_without_room_for_a_neighbourhood_is_refused(model):
     sheet = np.zeros((40, 40, 40), bool)
     sheet[20:25] = True
@@ -266,6 +267,7 @@ def test_a_site_is_active_where_its_neighbourhood_holds_a_free_voxel(wraps):
         assert active[site] == covered.free[np.ix_(*cells)].any()
 
 
+@pytest.mark.whole
 def test_rounds_by_energy_tell_their_trace(bone):
     """Equation (1) falls, the last round of a level changes it by less than the tolerance, and the
     recipe tells so.
@@ -318,6 +320,7 @@ def test_the_exact_search_finds_nearer_neighbourhoods_than_the_coherent_one(bone
     assert fits["exact"] < fits["coherent"]
 
 
+@pytest.mark.whole
 def test_mirrored_copies_are_learnt_from():
     """Teeth that all rise to the right: the interface lies along one diagonal, and with mirrors
     along both.

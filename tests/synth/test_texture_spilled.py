@@ -115,6 +115,7 @@ class StoppedError(Exception):
     """The run is cut off here."""
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     "settings",
     [

@@ -87,6 +87,7 @@ def middle_of(tab, selector):
     )
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("look", "cut"), [("bone", "corner"), ("bread", "none"), ("stone", "plane=60,10,0.4")]
 )
@@ -110,6 +111,7 @@ def test_page_and_still_are_one_picture(show, look, cut):
     assert (np.abs(page - still).max(axis=-1) > 24).mean() < 0.01
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("opacity", [1, 0.5])
 def test_what_is_skipped_would_not_have_been_seen(show, opacity):
     values = np.zeros((40, 40, 40), bool)
@@ -155,6 +157,7 @@ def test_phases_are_drawn_in_their_colours_as_in_a_still(show):
     )
 
 
+@pytest.mark.whole
 def test_a_dragged_handle_moves_its_plane_and_the_slider_follows(show):
     tab = show(foam())
     before = canvas(tab)
@@ -168,6 +171,7 @@ def test_a_dragged_handle_moves_its_plane_and_the_slider_follows(show):
     assert tab.run("app.cut.at.slice(0, 2)") == [0.5, 0.5]
 
 
+@pytest.mark.whole
 def test_the_free_plane_is_tilted_and_shifted_by_its_handles(show):
     tab = show(foam())
     tab.run("document.querySelector('input[name=\"Free plane\"]').click()")
@@ -183,6 +187,7 @@ def test_the_free_plane_is_tilted_and_shifted_by_its_handles(show):
     assert tab.run("app.cut.azimuth") == pytest.approx(azimuth, abs=20)
 
 
+@pytest.mark.whole
 def test_sliders_and_keys_do_what_the_mouse_does(show):
     tab = show(foam())
     before = canvas(tab)
@@ -201,6 +206,7 @@ def test_sliders_and_keys_do_what_the_mouse_does(show):
     assert tab.run("app.cut.mode") == "planes"
 
 
+@pytest.mark.whole
 def test_mouse_wheel_and_touch_turn_move_and_zoom(show):
     tab = show(foam())
     x, y = 30, middle_of(tab, "#picture")[1]
@@ -217,6 +223,7 @@ def test_mouse_wheel_and_touch_turn_move_and_zoom(show):
     assert abs(tab.run("app.cameras[0].pan[0]")) > 0
 
 
+@pytest.mark.whole
 def test_looks_change_the_picture_and_come_from_the_table(show):
     tab = show(foam())
     pictures = []
@@ -230,6 +237,7 @@ def test_looks_change_the_picture_and_come_from_the_table(show):
     assert min(gaps) > 1
 
 
+@pytest.mark.whole
 def test_linked_cameras_turn_together_and_lengths_are_one_scale(show):
     coarse = tb.Image(np.ones((10, 10, 10), np.uint8), "labels", 0.04, "mm")
     fine = tb.Image(np.ones((20, 20, 20), np.uint8), "labels", 10, "um")
@@ -250,6 +258,7 @@ def test_volumes_without_a_common_unit_say_so(show):
     assert "no common unit" in tab.run("document.getElementById('panel').textContent")
 
 
+@pytest.mark.whole
 def test_grey_follows_its_transfer_function(show):
     ramp = np.broadcast_to(np.linspace(0, 250, 24).astype(np.uint8), (24, 24, 24))
     tab = show(tb.Image(ramp, "grey"), size=(620, 500))
@@ -272,6 +281,7 @@ def test_grey_follows_its_transfer_function(show):
     assert apart(canvas(tab), solid) > 1
 
 
+@pytest.mark.whole
 def test_colour_is_shown_as_it_is(show):
     values = np.zeros((16, 16, 16, 3), np.uint8)
     values[..., :8, :] = (220, 30, 30)
@@ -285,6 +295,7 @@ def test_colour_is_shown_as_it_is(show):
     ]
 
 
+@pytest.mark.whole
 def test_the_screenshot_is_a_picture_of_the_stage(show):
     tab = show(foam(), names=["a foam"])
     data = tab.run(
@@ -298,6 +309,7 @@ def test_the_screenshot_is_a_picture_of_the_stage(show):
     assert apart(shot[-50:], picture[-50:]) > 0.5  # the scale bar
 
 
+@pytest.mark.whole
 def test_slices_show_the_voxels(show):
     values = np.zeros((6, 7, 8), np.uint8)
     values[3, 2, 5] = 1
@@ -317,6 +329,7 @@ def test_slices_show_the_voxels(show):
     assert bright.sum() == 1 and bright[2, 5]
 
 
+@pytest.mark.whole
 def test_without_webgl_there_are_slices_and_a_plain_message(show):
     context = "HTMLCanvasElement.prototype.getContext"
     missing = f"{context} = new Proxy({context}, {{apply(f, c, a) "
@@ -341,6 +354,7 @@ def test_a_damaged_page_says_so(browser, tmp_path):
     tab.close()
 
 
+@pytest.mark.whole
 def test_names_and_figures_stand_beside_and_are_text(show):
     metrics = {
         "porosity": {"value": 0.51234, "real_band": [0.4, 0.6], "pass": True},
@@ -355,6 +369,7 @@ def test_names_and_figures_stand_beside_and_are_text(show):
     assert tab.run("document.querySelectorAll('b').length") == 0
 
 
+@pytest.mark.whole
 def test_the_served_page_is_drawn_and_loads_nothing_else(browser):
     import threading
 

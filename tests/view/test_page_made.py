@@ -143,6 +143,7 @@ def test_key_figures_stand_beside_the_image_that_they_are_of():
     ]
 
 
+@pytest.mark.whole
 def test_a_real_certificate_is_taken(bone):
     part = tb.crop(bone, 40)
     verdict = tb.verify(bone, part, level="quick")
@@ -185,6 +186,7 @@ def test_the_policy_lets_only_this_script_and_style_run():
     )
 
 
+@pytest.mark.whole
 def test_a_200_cube_fits_its_megabytes():
     z, y, x = np.ogrid[:100, :100, :100]
     shape = (np.sin(z / 5) + np.sin(y / 6) + np.sin(x / 4) > 0).astype(np.uint8)

@@ -16,7 +16,7 @@ HTML = "<!doctype html><title>page</title>"
 @pytest.fixture
 def page_server():
     with PageServer(HTML) as running:
-        threading.Thread(target=running.serve_forever, daemon=True).start()
+        threading.Thread(target=running.serve_forever, args=(0.01,), daemon=True).start()
         yield running
         running.shutdown()
 

@@ -95,6 +95,7 @@ def test_distances_are_none_to_itself_and_tell_what_differs():
     )
 
 
+@pytest.mark.whole
 def test_an_exemplar_is_made_coarser_and_cut_no_further_than_needed():
     fine = np.kron(balls(6, side=64).values, np.ones((3, 3, 3), np.uint8))
     # 36 voxels across, of which their discs tell a little less

@@ -146,6 +146,7 @@ def test_a_finer_grid_has_the_same_flow(name):
     assert np.quantile(cosine, 0.02) > 0.97, "steps differ near points where the flow stands still"
 
 
+@pytest.mark.whole
 @given(
     corner=st.tuples(*[st.integers(-30, 30)] * 3),
     size=st.tuples(*[st.integers(1, 12)] * 3),

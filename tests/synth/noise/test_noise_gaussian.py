@@ -308,6 +308,7 @@ def test_averaged_keeps_what_depends_on_length_alone_and_forgets_direction():
     np.testing.assert_allclose(leaning, leaning.transpose(2, 0, 1))
 
 
+@pytest.mark.whole
 def test_a_picture_gives_a_volume_where_all_directions_are_alike():
     picture = exponential((256, 256), scale=4, seed=3, fraction=0.4)
     volume = tb.method("noise", isotropic=True, exact=True).fit(picture[None]).generate(96, seed=1)

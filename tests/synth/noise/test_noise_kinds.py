@@ -92,6 +92,7 @@ def test_pictures_have_windows_and_repeat(kind):
     assert np.array_equal(part, np.roll(np.tile(whole.values, (2, 1)), 10, axis=0)[:60, 5:12])
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("kind", KINDS)
 def test_neither_bricks_nor_threads_matter(kind, monkeypatch):
     model = noise(kind)
@@ -193,6 +194,7 @@ def test_worley_is_the_distance_to_the_nearest_point():
     assert np.array_equal(field("worley", (24, 20, 28)).ravel(), np.rint(distance**2))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("shape", [(18, 15, 20), (40, 44)])
 def test_walls_are_planes_half_way_between_points(shape):
     """Compare with the planes between a voxel's nearest point and all others, one by one."""

@@ -227,6 +227,7 @@ def thin(made):
     return np.count_nonzero((made == 1) & ~opened[1:-1, 1:-1, 1:-1])
 
 
+@pytest.mark.whole
 def test_seams_leave_nothing_thin():
     """Check blocks of two voxels: patches that meet at odd distances leave slivers unless they are
     rejected.

@@ -1,6 +1,7 @@
 """The seam against SciPy's maximum flow on the same graph, built here from its definition."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import coo_array
@@ -88,6 +89,7 @@ def cost_of(found, made, window, patch, margin):
     return sum(c for p, q, c in found if side[p] == 0 and side[q] == 1)
 
 
+@pytest.mark.whole
 @given(
     st.integers(0, 10**6),
     st.sampled_from([(5, 6, 7), (1, 8, 9), (4, 4, 4)]),

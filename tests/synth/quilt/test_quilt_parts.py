@@ -213,6 +213,7 @@ def test_descriptors_are_those_of_the_windows_over_their_range():
     assert np.allclose(found.values[1] / 65535, shares, atol=1e-4)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("period", [6, 9, 13])
 def test_a_period_is_found_and_noise_has_none(period):
     x = np.indices((3 * period + 1, 40, 40))[2]
@@ -316,6 +317,7 @@ def lay_random(seed, connected, density):
     return canvas, components
 
 
+@pytest.mark.whole
 @settings(max_examples=40)
 @given(st.integers(0, 10**6), st.sampled_from(["solid", "void", "both"]), st.floats(0.3, 0.7))
 def test_pieces_that_pass_make_one_body(seed, connected, density):
