@@ -13,12 +13,12 @@ from trabecula.testing import METHOD_CHECKS, Inapplicable, MethodCase
 NEEDS = {"learn": "torch"}
 """A module that tells whether an extra is installed."""
 
-CHEAP = {"lattice", "noise"}
+CHEAP = {"lattice"}
 """Methods for which `make test` makes every check."""
 
 SHARED = {
     "parts": {"gan", "quilt", "texture"},
-    "threads": {"chen", "mrf", "quilt", "texture"},
+    "threads": {"mrf", "quilt", "texture"},
     "slabs": {"kopf", "quilt", "sliced", "texture"},
     "presets": {"kopf", "quilt"},
     "blocks": {"bubbles", "quilt", "texture"},

@@ -11,7 +11,11 @@ from figures import PACKAGE, ROOT, circles, imports, module_name, python_files
 BESIDE = {"trabecula", "trabecula.__main__", "trabecula.errors", "trabecula.models"}
 """Modules outside the layers: they hold names and files, and no work."""
 
-GRAPH = imports(python_files(PACKAGE))
+
+@pytest.fixture(scope="module")
+def graph():
+    """Return the modules that each module of the package imports."""
+    return imports(python_files(PACKAGE))
 
 
 def layers():
@@ -41,17 +45,17 @@ def arrows_up(graph, rows):
     ]
 
 
-def test_no_files_import_each_other_in_a_circle():
-    assert circles(GRAPH) == []
+def test_no_files_import_each_other_in_a_circle(graph):
+    assert circles(graph) == []
 
 
-def test_no_import_goes_up():
-    assert arrows_up(GRAPH, layers()) == []
+def test_no_import_goes_up(graph):
+    assert arrows_up(graph, layers()) == []
 
 
-def test_every_module_belongs_to_a_layer():
+def test_every_module_belongs_to_a_layer(graph):
     rooms = {room for row in layers() for room in row}
-    strays = {module for module in GRAPH if room_of(module) not in rooms} - BESIDE
+    strays = {module for module in graph if room_of(module) not in rooms} - BESIDE
     assert not strays, "add its room to the layers in pyproject.toml"
 
 

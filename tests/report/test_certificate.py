@@ -103,6 +103,7 @@ def test_another_sample_passes_what_shuffled_voxels_fail(exemplar):
         assert shuffled.metrics[name].passed is False, name
 
 
+@pytest.mark.whole
 def test_distances_are_what_they_say(exemplar):
     image = like(exemplar, field(3, share=0.25))
     certificate = verify(exemplar, image, r_max=20)

@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import trabecula as tb
 from trabecula.measure.registry import DESCRIPTORS, GROUPS
@@ -40,8 +41,10 @@ class Nesting(HTMLParser):
 @pytest.fixture(scope="module")
 def certificate():
     rng = np.random.default_rng(0)
+    smooth = [ndimage.gaussian_filter(rng.normal(size=(48,) * 3), 1.5, mode="wrap") for _ in "ab"]
     exemplar, image = (
-        tb.Image(rng.random((48, 48, 48)) < p, "labels", spacing=2.0, unit="um") for p in (0.5, 0.3)
+        tb.Image(field > level, "labels", spacing=2.0, unit="um")
+        for field, level in zip(smooth, (0.0, 0.1), strict=True)
     )
     return verify(exemplar, image, names=["<worse & worse>"])
 
