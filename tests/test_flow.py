@@ -201,6 +201,7 @@ def test_damaged_recipes_are_told(place, damage, says):
         replay.replay(Recipe.from_json(steps), folder=place)
 
 
+@pytest.mark.whole
 def test_a_missing_exemplar_is_told(place):
     steps = full_recipe(place)
     (place / "grey.npy").unlink()

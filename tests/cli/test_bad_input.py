@@ -418,6 +418,7 @@ def test_a_surface_or_page_does_not_take_the_place_of_a_folder(tmp_path, scans, 
     assert contents(tmp_path) == before
 
 
+@pytest.mark.whole
 def test_a_store_does_not_take_the_place_of_a_file_or_of_a_strange_folder(
     tmp_path, scans, monkeypatch
 ):
@@ -461,6 +462,7 @@ def test_a_full_disk_is_noticed_before_the_work(place, monkeypatch):
     assert "are free in" in refused("demo", "--out", "demo")
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("out", TARGETS)
 def test_a_disk_that_fills_up_while_writing(place, monkeypatch, out):
     def full(*names, **more):
@@ -472,6 +474,7 @@ def test_a_disk_that_fills_up_while_writing(place, monkeypatch, out):
     assert "No space left on device" in refused("finish", "scan.npy", "--connect", "--out", out)
 
 
+@pytest.mark.whole
 def test_surfaces_and_stills_on_a_full_disk(place, monkeypatch):
     def full(*names, **more):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -515,6 +518,7 @@ def test_running_out_of_memory_is_no_traceback(place, monkeypatch):
     )
 
 
+@pytest.mark.whole
 def test_an_interrupted_run_leaves_everything_as_it_was(place, monkeypatch):
     def stop(*anything, **more):
         raise KeyboardInterrupt

@@ -43,6 +43,7 @@ def test_export_prints_millimetres(place):
     assert sizes(other) == ["size 1.12 x 1.12 x 0.56 mm (z, y, x); its coordinates are in um"]
 
 
+@pytest.mark.whole
 def test_export_in_slabs_prints_millimetres(place):
     column = tb.write(
         tb.Image(np.tile(tb.read("plain.tif").values, (16, 1, 1)), "labels"), "column.zarr"

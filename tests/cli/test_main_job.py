@@ -400,6 +400,7 @@ def test_how_much_is_measured_is_chosen(place):
     assert "not allowed with" in refused("measure", "scan.npy", "--quick", "--full")
 
 
+@pytest.mark.whole
 def test_grey_values_are_compared_as_they_are_where_asked(place):
     noise = np.random.default_rng(0).integers(0, 200, (2, 64, 64)).astype(np.uint8)
     for name, values in zip(("one.png", "two.png"), noise, strict=True):
@@ -448,6 +449,7 @@ def test_an_exemplar_that_moved_is_found_beside_the_file_or_by_its_name(place):
     )
 
 
+@pytest.mark.whole
 def test_another_exemplar_is_noticed(place):
     generate("scan.npy")
     values = np.load("scan.npy")
@@ -457,6 +459,7 @@ def test_another_exemplar_is_noticed(place):
     assert "step 'read' (scan.npy) gives other voxels than recorded: the file has changed" in says
 
 
+@pytest.mark.whole
 def test_changed_voxels_are_noticed(place):
     generate("scan.npy")
     array = zarr.open_group("made.zarr", mode="r+")["0"]
@@ -501,6 +504,7 @@ def test_finish_and_still_can_be_made_again(place):
         assert trabecula("rerun", name).sha256 == digest(tb.read(name).values)
 
 
+@pytest.mark.whole
 def test_an_old_target_is_replaced(place):
     tb.write(tb.Image(np.zeros((3, 3, 3), int), "labels"), "made.zarr")
     image, _ = generate("scan.npy")

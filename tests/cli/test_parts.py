@@ -187,6 +187,7 @@ def test_a_hole_is_repaired_where_nothing_is_known(place):
     assert trabecula("rerun", "made.zarr", "--known", "seen.tif").sha256 == output.sha256
 
 
+@pytest.mark.whole
 def test_a_grey_scan_is_fixed_at_the_exemplars_threshold(place):
     rng = np.random.default_rng(0)
     solid = tb.read("scan.zarr").values
@@ -438,6 +439,7 @@ def test_check_refuses(scan_and_ball, monkeypatch, words, says):
     assert says in refused("check", *words)
 
 
+@pytest.mark.whole
 def test_what_a_fixed_scan_takes_from_the_exemplar_is_in_the_recipe(place):
     np.save("plain.npy", tb.read("scan.zarr").values[:10])
     image, output = generate("--fixed", "plain.npy", "--at", 0, 0, 0, "--shape", 24, 28, 28)

@@ -66,6 +66,7 @@ def generate(*words, exemplars=("picture.tif",), out="made.zarr"):
     return tb.read(out), output
 
 
+@pytest.mark.whole
 def test_a_volume_has_the_pictures_pixels_and_can_be_made_again(place):
     image, output = generate("--shape", 16, 18, 20, "--seed", 3)
     assert image.shape == (16, 18, 20) and image.spacing == (4.0,) * 3 and image.unit == "um"
@@ -93,6 +94,7 @@ def test_a_target_porosity_is_met_and_told(place):
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
 
+@pytest.mark.whole
 def test_a_form_is_in_the_pictures_pixels(place):
     image, output = generate("--mask", "ball.stl")
     assert all(18 <= side <= 20 for side in image.shape)

@@ -144,6 +144,7 @@ def test_another_runs_part_is_neither_used_nor_lost(run, tmp_path, other):
     assert run(second)[0] == digest(WHOLE) and second.made == boxes_of(SHAPE, 128)[7:]
 
 
+@pytest.mark.whole
 def test_other_chunks_than_it_was_begun_in_are_refused(run, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         run(Maker(stop_at=2), side=64, chunk=64)
@@ -312,6 +313,7 @@ def test_channels_go_along(tmp_path):
     assert not part.exists()
 
 
+@pytest.mark.whole
 def test_a_second_run_of_the_same_store_is_refused_and_the_first_not_disturbed(tmp_path):
     names = {"path": tmp_path / "x.zarr", "part": tmp_path / "x.zarr.part", "side": 128}
     refused = []

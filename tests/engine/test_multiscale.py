@@ -17,6 +17,7 @@ def cells(values):
         yield index, values[tuple(slice(2 * i, 2 * i + 2) for i in index)].ravel()
 
 
+@pytest.mark.whole
 @given(
     arrays(np.uint8, array_shapes(min_dims=2, max_dims=3, max_side=37), elements=st.integers(0, 3))
 )
@@ -31,6 +32,7 @@ def test_the_commonest_label(values):
         assert result[index] == (inside[0] if inside[0] in winners else winners[0])
 
 
+@pytest.mark.whole
 @given(
     arrays(
         st.sampled_from([np.uint8, np.uint16, np.int16, np.float32]),

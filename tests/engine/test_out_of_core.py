@@ -82,6 +82,7 @@ def test_a_run_begun_in_blocks_goes_on_with_more_memory(model, sha256, tmp_path)
     assert names(tmp_path) == ["x.zarr"]
 
 
+@pytest.mark.whole
 def test_resume_finds_the_folder_that_was_chosen(model, sha256, tmp_path):
     (tmp_path / "big").mkdir()
     path = tmp_path / "x.zarr"

@@ -33,6 +33,7 @@ def test_an_array_has_the_size_that_numpy_gives_it():
     assert Array((0, 3), np.uint8).plane == 0
 
 
+@pytest.mark.whole
 @given(
     st.lists(
         st.tuples(st.lists(st.integers(0, 9), min_size=1, max_size=4), st.sampled_from("bBhfd")),

@@ -60,6 +60,7 @@ def test_two_populations_are_told_apart(bimodal, dtype):
     assert 95 < image.recipe.steps[-1]["threshold"] < 125
 
 
+@pytest.mark.whole
 @given(
     arrays.arrays(
         st.sampled_from(["u1", "i2", "f4"]),

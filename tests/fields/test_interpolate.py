@@ -24,6 +24,7 @@ def equation_seven(shape, points, values, power, spacing=1.0):
     return field
 
 
+@pytest.mark.whole
 @given(
     st.integers(0, 1000),
     st.sampled_from([1.0, 2.0, 4.0, 7.5]),

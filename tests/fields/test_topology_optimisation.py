@@ -146,6 +146,7 @@ def test_a_mask_is_left_alone_and_the_rest_carries():
     )
 
 
+@pytest.mark.whole
 def test_threads_change_no_bit(monkeypatch):
     whole = fields.simp("cantilever", (9, 3, 8), rounds=4).values
 

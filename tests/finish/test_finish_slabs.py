@@ -73,6 +73,7 @@ def test_the_store_is_that_of_the_whole(thin, tmp_path, name):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in.zarr", "out.zarr"]
 
 
+@pytest.mark.whole
 def test_one_phase_of_three_and_coarser_levels(thin, tmp_path):
     image = tb.Image(grains((40, 30, 300), phases=3), "labels", phases=("void", "a", "b"))
     finish_slabs(

@@ -312,6 +312,7 @@ def test_topology_of_any_volume(seed, smooth, theta):
         assert euler(part, connectivity=26) == euler(solid, connectivity=26)
 
 
+@pytest.mark.whole
 def test_real_bone(data):
     import tifffile
 
@@ -385,6 +386,7 @@ def test_nothing_is_grown_out_of_a_form():
     assert report(prune(stub, mask=form))["grown"] == 0
 
 
+@pytest.mark.whole
 def test_a_form_is_recorded_and_a_missing_one_is_said():
     material = tb.Image(with_stubs(2), "labels")
     inside = tb.Image(np.ones(material.shape, np.uint8), "labels")

@@ -13,10 +13,16 @@ HASHES = json.loads((Path(__file__).parent / "hashes.json").read_text(encoding="
 QUICK = {
     *("bubbles", "exemplar", "export", "fields", "finish", "gan", "lattice", "measure", "mesh"),
     *("noise", "quilt", "report", "view", "chen-grey", "kopf-grey", "mrf-several", "sliced-mask"),
-    *("texture-fixed", "texture-graded", "texture-grey", "bubbles-preset.tif", "chen-colour.nrrd"),
+    *("texture-fixed", "texture-graded", "bubbles-preset.tif", "chen-colour.nrrd"),
     *("crop.nrrd", "field", "noise.nrrd", "quilt.nrrd", "segment.nrrd", "texture-grey.npy"),
 }
-"""Cases, kinds of cases and files that take little time."""
+"""Cases, kinds of cases and files that take little time, but for `SLOW` ones."""
+
+SLOW = {
+    *("bubbles-in-blocks", "exemplar-samples", "export-grey", "export-stl", "fields-directions"),
+    *("measure-labels-full", "measure-phases", "noise-alone-voronoi", "quilt-flat"),
+    *("quilt-several", "gan-trained"),
+}
 
 
 def _cases(names):
@@ -25,6 +31,7 @@ def _cases(names):
     for name in names:
         kind = name.split("-")[0]
         quick = name in QUICK or (kind in QUICK and ("." not in name or kind == "field"))
+        quick = quick and name not in SLOW
         cases.append(name if quick else pytest.param(name, marks=pytest.mark.whole))
     return cases
 

@@ -161,6 +161,7 @@ def test_real_scans(data, tmp_path):
     assert again.recipe == bone.recipe and again.phases == ("marrow", "bone")
 
 
+@pytest.mark.whole
 def test_metaimage_keeps_bars_wherever_its_lines_are_cut(tmp_path):
     """Cut the JSON into lines that stand in bars; a bar of the JSON itself at a cut must stay."""
     values = np.zeros((2, 2, 2), np.uint8)

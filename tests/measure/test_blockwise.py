@@ -101,6 +101,7 @@ def test_memory_of_components_is_that_of_a_plane_however_many_there_are():
     assert kept < 200 < pieces.result().components
 
 
+@pytest.mark.whole
 @given(arrays(bool, SHAPES), st.integers(1, 9))
 def test_the_cubes_of_an_object_are_those_with_a_margin_around_it(inside, depth):
     from trabecula.measure.configurations import count_cubes

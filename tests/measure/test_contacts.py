@@ -27,6 +27,7 @@ def coated_sphere(core=10, shell=14, side=40):
     )
 
 
+@pytest.mark.whole
 @given(
     phases=st.integers(2, 5), seed=st.integers(0, 99), flat=st.booleans(), periodic=st.booleans()
 )

@@ -82,6 +82,7 @@ def test_the_search_is_exact(phases, size, step):
             assert along[n, m] == wanted
 
 
+@pytest.mark.whole
 @settings(max_examples=20)
 @given(corner=st.tuples(*[st.integers(0, 18)] * 3), seed=st.integers(0, 5), half=st.booleans())
 def test_a_crop_is_coherent_wherever_it_lies(corner, seed, half):

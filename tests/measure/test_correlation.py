@@ -29,6 +29,7 @@ def count_pairs(inside, r_max, *, spacing=(1, 1, 1), mask=None, periodic=(False,
     return hits / pairs
 
 
+@pytest.mark.whole
 @settings(max_examples=25)
 @given(
     arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=6, max_side=9)),

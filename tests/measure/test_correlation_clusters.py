@@ -175,6 +175,7 @@ def test_an_empty_phase_and_wrong_neighbours():
         two_point_cluster(np.ones((8, 8, 8), bool), r_max=2, connectivity=5)
 
 
+@pytest.mark.whole
 def test_a_real_scan_both_ways_alike(data, monkeypatch):
     electrode = tb.labels(tb.read(data / "electrode_3phase_a.tif").values[:28, :32, :30])
     curves = []

@@ -10,6 +10,7 @@ import trabecula as tb
 from trabecula.measure.correlation import lineal_path
 
 
+@pytest.mark.whole
 @settings(max_examples=40)
 @given(
     arrays(bool, array_shapes(min_dims=2, max_dims=3, min_side=4, max_side=8)),

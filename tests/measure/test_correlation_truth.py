@@ -81,6 +81,7 @@ def over_offsets(function, r_max):
     return np.bincount(bins[near], function(lengths[near])) / np.bincount(bins[near])
 
 
+@pytest.mark.whole
 def test_halved_gaussian_fields_follow_the_arcsine():
     # Where half of the field lies above: S2 = 1/4 + asin(rho(r)) / (2 pi).
     def theory(r):

@@ -104,6 +104,7 @@ def test_levels(foam):
         describe(foam, level="most")
 
 
+@pytest.mark.whole
 def test_void_that_does_not_percolate_is_said_to_be_infinitely_tortuous():
     slab = np.zeros((12, 12, 12), np.uint8)
     slab[5] = 1

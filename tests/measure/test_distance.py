@@ -53,6 +53,7 @@ def test_interface_is_half_an_edge_from_either_side():
     )
 
 
+@pytest.mark.whole
 @given(volumes)
 def test_signed_distance_changes_sign_with_the_sides(inside):
     assert np.array_equal(signed_distance(inside), -signed_distance(~inside))

@@ -111,6 +111,7 @@ def test_narrow_euler_number_is_the_dual_of_the_wide_one(inside):
     )
 
 
+@pytest.mark.whole
 @given(volumes, st.permutations([0, 1, 2]))
 def test_bodies_apart_add_up_and_axes_do_not_matter(inside, order):
     pair = np.concatenate([inside, np.zeros((2, *inside.shape[1:]), bool), inside])

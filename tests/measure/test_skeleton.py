@@ -47,6 +47,7 @@ def test_simple_points_by_definition(cube, thinning):
     assert simple.is_simple_by_faces(number(cube), changes) == truly_simple(other)
 
 
+@pytest.mark.whole
 @given(volumes)
 def test_thinning_keeps_the_topology_of_any_volume(solid):
     before = solid.copy()
@@ -154,6 +155,7 @@ def test_a_span_is_the_straight_line_in_the_unit_of_the_image():
     assert graph.span[0] < graph.length[0]
 
 
+@pytest.mark.whole
 @given(volumes)
 def test_every_voxel_is_in_one_branch_or_joint(solid):
     graph = skeleton_graph(solid)

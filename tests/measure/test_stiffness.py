@@ -170,6 +170,7 @@ def test_equals_elimination_with_two_solids(values):
     )
 
 
+@pytest.mark.whole
 @settings(max_examples=15)
 @given(small, st.permutations([0, 1, 2]))
 def test_matrix_turns_with_the_volume(values, order):

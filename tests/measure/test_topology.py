@@ -250,6 +250,7 @@ def test_component_distance_of_known_sets():
         component_distance(one, two, relative_to="box")
 
 
+@pytest.mark.whole
 @given(volumes, volumes, st.sampled_from(["image", "phase"]))
 def test_component_distance_equals_scipy_and_is_symmetric(a, b, relative_to):
     def places(inside):

@@ -89,6 +89,7 @@ def test_a_crop_of_a_crop_is_a_crop(values, data):
     ] and twice.spacing == image.spacing
 
 
+@pytest.mark.whole
 @given(greys)
 def test_a_threshold_given_before_or_after_a_crop_is_the_same(values):
     size = [(side + 1) // 2 for side in values.shape]

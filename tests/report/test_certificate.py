@@ -210,6 +210,7 @@ def test_bands_are_the_intervals_of_one_more_draw(count):
     assert excess_limit(values, 2.0, endless) == pytest.approx(wanted, rel=0.02)
 
 
+@pytest.mark.whole
 def test_curves_reach_no_farther_than_the_parts():
     """Parts of a picture are its thirds: what they cannot measure has no band."""
     picture = field(0, (96, 96))

@@ -31,6 +31,7 @@ def test_figures_and_verdicts_are_those_of_the_whole(pair):
     )
 
 
+@pytest.mark.whole
 def test_images_and_slabs_side_by_side_are_judged_alike(pair):
     exemplar, image = pair
     first, second = tb.verify(exemplar, image, as_slabs(image), names=["small", "large"])

@@ -67,6 +67,7 @@ def test_a_stationary_field_has_no_trend_and_no_order():
         assert found.phases["solid"].fraction == pytest.approx(0.4, abs=0.05)
 
 
+@pytest.mark.whole
 def test_the_correlation_length_is_that_of_measure():
     image = gaussian_field(1)
     found = measure_structure(image).lengths

@@ -80,6 +80,7 @@ def test_page_says_the_verdict_and_every_figure(certificate):
     assert "Gaussian field" in figures
 
 
+@pytest.mark.whole
 def test_several_images_stand_in_one_table_and_one_set_of_curves(quick):
     html = page(quick)
     assert html.count('<div class="verdict') == 2 and html.count("<h2>Figures</h2>") == 1

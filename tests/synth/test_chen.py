@@ -25,6 +25,7 @@ def spots(side=48):
     )
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("orientations", ["none", "all"])
 def test_no_colour_is_new(orientations):
     picture = spots()

@@ -44,6 +44,7 @@ def test_stripes_in_two_views_become_layers():
     assert max(along[1:]) < 0.4 * along[0]
 
 
+@pytest.mark.whole
 def test_two_pictures_are_seen_in_their_own_views():
     """Discs across x, stripes along x across y and z: rods along x."""
     y, x = np.indices((48, 48)) % 12 - 5.5

@@ -172,6 +172,7 @@ def test_a_convolution_without_long_waves(period):
     assert left == pytest.approx(1 - box**2, abs=1e-4)
 
 
+@pytest.mark.whole
 def test_a_step_with_long_waves_of_its_own_raises_them_less():
     """Asked for more at all long distances, a step lifts the longest wave; it leaves alone what is
     longer than twice a window.

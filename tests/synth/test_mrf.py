@@ -294,6 +294,7 @@ def test_icm_ends_where_the_temperature_has_fallen_by_95_per_cent(picture):
     assert len(scales[1]["changed"]) < len(scales[0]["changed"]) < 100
 
 
+@pytest.mark.whole
 def test_inherited_voxels_are_questioned_or_fixed(picture):
     config = {"preset": "paper", "scales": 2, "upsampling": "one"}
     coarse = np.random.default_rng(4).integers(0, 2, (6, 6, 6)).astype(np.uint8)

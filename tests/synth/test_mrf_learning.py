@@ -410,6 +410,7 @@ def test_a_plane_seen_from_behind_has_its_columns_the_other_way(plane):
     assert plane.mirror_image.mirror_image == plane
 
 
+@pytest.mark.whole
 def test_oblique_planes_see_the_picture_from_behind_in_every_other_round():
     """Check that other sweeps never do: their picture may lean one way."""
     seen: list[bool] = []
@@ -636,6 +637,7 @@ def test_couplings_bring_the_autocorrelation_nearer_to_the_pictures():
     assert apart[1] < 0.5 * apart[0], apart
 
 
+@pytest.mark.whole
 def test_a_picture_with_a_large_plateau_is_made_with_its_shares():
     """Check grey where one level is half of the picture: groups of levels beside it are empty."""
     values = np.maximum(blobs(48).astype(np.float64) + np.linspace(-1, 1, 48), 0.6) * 100

@@ -27,6 +27,7 @@ def everything(points, queries, k, allowed=None):
     return places[order], np.take_along_axis(distance, order, 1)
 
 
+@pytest.mark.whole
 @given(
     seed=st.integers(0, 10_000),
     count=st.integers(1, 300),

@@ -128,6 +128,7 @@ def test_the_vote_is_the_weighted_mean(step, stride, trim, wraps):
     assert np.array_equal(result, np.where(below > 0, above * 256 // np.maximum(below, 1), 0))
 
 
+@pytest.mark.whole
 def test_layers_stay_layers_of_the_same_period():
     """Known truth: an exemplar that varies along z alone gives a material that varies along z
     alone, with its period.

@@ -127,6 +127,7 @@ def test_inside_a_mask_and_around_an_axis(model, ramp):
     assert np.abs(around[-1].astype(int) - around[0]).mean() < 1.6 * seam
 
 
+@pytest.mark.whole
 def test_fixed_voxels_stay_and_the_rest_follows(model, bone):
     shape = (40, 24, 24)
     known = np.zeros(shape, bool)
@@ -146,6 +147,7 @@ def test_fixed_voxels_stay_and_the_rest_follows(model, bone):
     assert made[28:].mean() > made[12:28].mean()
 
 
+@pytest.mark.whole
 def test_tiles_change_no_voxel(monkeypatch, model):
     request = tb.Request(
         (40, 24, 24),

@@ -124,6 +124,7 @@ def test_fixed_voxels_stay_and_what_is_made_joins_them(bone):
     assert np.nanmean(misfit(bone, repaired)[shell]) <= 1.1 * np.nanmean(misfit(bone, scan)[shell])
 
 
+@pytest.mark.whole
 def test_fixed_voxels_of_a_phase_that_the_exemplar_lacks_are_refused(model):
     strange = tb.Image(
         np.full((40, 40, 40), 2, np.uint8), "labels", phases=("void", "bone", "cement")
@@ -217,6 +218,7 @@ def test_exemplars_that_differ_are_refused(bone):
         tb.method("noise").fit([bone, bone])
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 def test_grey_comes_out_with_its_whole_histogram(bone, dtype):
     rng = np.random.default_rng(0)
@@ -287,6 +289,7 @@ def test_rounds_by_energy_tell_their_trace(bone):
             assert abs(robust[-1] - robust[-2]) <= 0.01 * robust[-2]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     "settings", [{"search": "exact"}, {"gradient": 0.3}, {"search": "exact", "adaptive": True}]
 )

@@ -155,6 +155,7 @@ def test_a_real_certificate_is_taken(bone):
     assert rows[0][3] in ("pass", "fail", "")
 
 
+@pytest.mark.whole
 def test_where_it_came_from_stands_beside(bone):
     made = tb.Image(
         noise((4, 4, 4)),

@@ -54,6 +54,7 @@ def test_voxels_are_those_of_the_definition(shape, more):
     assert not ndimage.binary_erosion(made != expected).any()
 
 
+@pytest.mark.whole
 def test_without_walls_the_definition_holds_to_the_voxel():
     settings = {"distance": 9.0, "roughness": 0.0, "separation": 0.0, "time": 0.5}
     places, brakes, _, law = bubbles(SHAPE, **settings)
@@ -176,6 +177,7 @@ def test_the_same_seed_gives_the_same_bubbles_on_another_grid():
     assert (fine != grow((30, 30, 30), spacing=1.0, **settings)).mean() < 0.05
 
 
+@pytest.mark.whole
 @settings(max_examples=12)
 @given(
     st.fixed_dictionaries(

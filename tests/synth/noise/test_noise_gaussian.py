@@ -150,6 +150,7 @@ def test_how_a_volume_is_cut_does_not_matter(monkeypatch, phases):
     assert np.array_equal(ranked.generate((30, 26, 21), seed=3).values, exact)
 
 
+@pytest.mark.whole
 def test_the_fraction_is_exact_and_the_two_point_function_is_kept():
     """Known truth: an exponential covariance at phi = 1/2, along an axis S2 = 1/4 + arcsin(exp(-r /
     2)) / (2 pi).
@@ -185,6 +186,7 @@ def test_exact_shares_have_no_windows():
         model.plan_block(tb.Request(20), 128)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("exact", [False, True])
 def test_the_forecast_holds_for_many_pieces(monkeypatch, exact):
     monkeypatch.setattr("trabecula.synth.noise.gaussian.PIECE", 40)
@@ -214,6 +216,7 @@ def test_no_array_outlives_its_stage(exact):
         assert np.array_equal(model.generate(30, seed=1).values, whole)
 
 
+@pytest.mark.whole
 def test_anisotropy_is_kept():
     exemplar = np.repeat(exponential((24, 64, 64), scale=2.5, seed=2, fraction=0.3), 3, axis=0)[:64]
     material = tb.method("noise", exact=True).fit(exemplar).generate(72, seed=0)

@@ -57,6 +57,7 @@ def windows(values, size=8, step=8):
     ]
 
 
+@pytest.mark.whole
 def test_a_lattice_follows_its_field_in_step_and_in_one_piece(cells, model):
     field = ramp((64, 40, 32), 0.4, 0.65)
     made = model.generate(field.shape, seed=1, target={"volume_fraction": field})
@@ -201,6 +202,7 @@ def test_sparse_bone_is_one_piece(seed):
     assert ndimage.label(made.values)[1] == 1
 
 
+@pytest.mark.whole
 def test_where_there_is_no_path_it_says_so():
     """Check a wall of given void: its two sides can never be connected."""
     wall = np.zeros((30, 30, 44), bool)

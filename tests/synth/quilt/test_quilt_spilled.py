@@ -74,6 +74,7 @@ def test_a_field_in_a_form_that_repeats(lattice_model, tmp_path):
     assert trace.summary()["places"] == np.count_nonzero(trace.tried)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("connected", ["solid", "both"])
 def test_repair(blobs, connected, tmp_path):
     known = np.ones((30, 30, 30), bool)
@@ -137,6 +138,7 @@ def test_what_was_cut_off_goes_on_in_scratch_files(lattice_model, tmp_path, monk
     assert [number for _, number in left] == [1, 2, 3, 4, 5]
 
 
+@pytest.mark.whole
 def test_memory_does_not_grow_with_the_volume(lattice_model, tmp_path):
     peaks = []
     for length in (24, 24, 144):
@@ -150,6 +152,7 @@ def test_memory_does_not_grow_with_the_volume(lattice_model, tmp_path):
     assert peaks[2] - peaks[1] < 120 * 24 * 24 // 4, "in core 5 bytes a voxel"
 
 
+@pytest.mark.whole
 @given(
     st.integers(0, 10**6),
     st.sampled_from([1, 3, 50]),
