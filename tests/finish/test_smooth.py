@@ -106,9 +106,9 @@ def test_refusals():
 
 
 def test_smoothing_a_phase_takes_nothing_of_another():
-    """Binder fills a pit in the solid, where the smoothed solid lies above its level."""
+    """Binder lies deep in the solid, where the smoothed solid is far above its level."""
     values = np.zeros((12, 16, 16), np.uint8)
-    values[:6], values[5, 7:9, 7:9] = 1, 2
+    values[:6], values[3, 8, 8] = 1, 2
     image = tb.Image(values, "labels", phases=("void", "solid", "binder"))
     made = smooth(image, sigma=1.5, phase="solid").values
     assert np.array_equal(made == 2, values == 2)

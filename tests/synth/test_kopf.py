@@ -58,6 +58,16 @@ def test_two_pictures_are_seen_in_their_own_views():
     assert along[2] < 0.4 * min(along[:2])
 
 
+def test_distances_count_in_the_voxels_of_their_level():
+    """Across a straight edge the field rises by one step a voxel, however coarse the level."""
+    model = tb.method("kopf", corrections=0, orientations="none").fit(stripes((96, 96), 96))
+    slopes = []
+    for level in model.levels[:3]:
+        across = level.views[0][1].stack.field[0, 0, :, 5].astype(int)
+        slopes.append(np.abs(np.diff(across)).max())
+    assert len(slopes) == 3 and np.ptp(slopes) <= 1, slopes
+
+
 @pytest.mark.whole
 def test_fractions_are_the_pictures_or_the_targets(bone, model):
     made = model.generate(30, seed=1)

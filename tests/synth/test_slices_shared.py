@@ -245,6 +245,18 @@ def test_sliced_rounds_take_on_the_pictures_distribution_in_every_view():
     assert steps.std() == pytest.approx(exemplar.std(), rel=0.15)
 
 
+def test_voxels_that_are_not_free_stay_as_they_are():
+    exemplar = slice_target([picture(7)], width=4, flat=True)
+    field = (np.random.default_rng(1).integers(-90, 91, (1, 10, 12, 14)) * UNIT).astype(np.int16)
+    free = np.ones(field.shape[1:], bool)
+    free[4, 3:9, 2:11] = False
+    moved = transport_neighbourhoods(
+        field, [(0, exemplar), (2, exemplar)], key=key(0, "s"), number=1, free=free
+    )
+    assert np.array_equal(moved[0, ~free], field[0, ~free])
+    assert np.mean(moved[0, free] != field[0, free]) > 0.9
+
+
 def test_threads_do_not_matter_on_planes():
     exemplar = slice_target([picture(7)], width=4, flat=True)
     field = (np.random.default_rng(1).integers(-90, 91, (1, 16, 12, 14)) * UNIT).astype(np.int16)
