@@ -25,7 +25,7 @@ test-all: $(VENV)/dev.stamp         ## every test of the base install, and those
 test-soak: $(VENV)/dev.stamp        ## ten runs of every test in random order beside full load; hours
 	$(BIN)/python tests/soak.py
 
-coverage: $(VENV)/dev.stamp         ## branches of the Python code that the tests reach, kernels apart
+coverage: $(VENV)/dev.stamp $(VENV)/learn.stamp $(VENV)/cluster.stamp $(VENV)/remote.stamp   ## branches of the Python code that the tests reach, kernels apart
 	$(PYTEST) --cov --cov-report=term
 
 test-learn: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## the tests that need PyTorch, which `make test` skips where it is not installed
