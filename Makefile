@@ -10,7 +10,7 @@ endif
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --durations 20
 
-.PHONY: demo test test-all test-soak coverage test-learn test-types test-cluster test-remote test-peers test-newest test-matrix mutants fuzz check docs gallery bench wheel clean
+.PHONY: demo test test-all test-extras test-soak coverage test-learn test-types test-cluster test-remote test-peers test-newest test-matrix mutants fuzz check docs gallery bench wheel clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -20,13 +20,19 @@ test: $(VENV)/dev.stamp             ## the tests of minutes, by as many processe
 
 test-all: $(VENV)/dev.stamp         ## every test of the base install, and those of each extra
 	$(PYTEST)
-	$(MAKE) --no-print-directory test-newest test-learn test-cluster test-remote
+	$(MAKE) --no-print-directory --jobs 2 test-newest test-extras
 
 test-soak: $(VENV)/dev.stamp        ## ten runs of every test in random order beside full load; hours
 	$(BIN)/python tests/soak.py
 
-coverage: $(VENV)/dev.stamp $(VENV)/learn.stamp $(VENV)/cluster.stamp $(VENV)/remote.stamp   ## branches of the Python code that the tests reach, kernels apart
+coverage: $(VENV)/dev.stamp $(VENV)/learn.stamp $(VENV)/cluster.stamp $(VENV)/remote.stamp   ## branches that the tests reach: of the Python code by all, of kernels by a sample that runs them uncompiled
 	$(PYTEST) --cov --cov-report=term
+	$(BIN)/python tests/plain_kernels.py
+
+test-extras:                        ## one after the other: they install into the same environment
+	$(MAKE) --no-print-directory test-learn
+	$(MAKE) --no-print-directory test-cluster
+	$(MAKE) --no-print-directory test-remote
 
 test-learn: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## the tests that need PyTorch, which `make test` skips where it is not installed
 	$(PYTEST) tests/synth/gan tests/contract -k gan
