@@ -223,11 +223,11 @@ def _sweep(owner, far, open_to, way, start, stop):
                 best = np.int64(far[z, y, x])
                 number = np.int64(owner[z, y, x])
                 before = best
-                if 0 <= z - way < depth and far[z - way, y, x] + 1 < best:
+                if 0 <= z - way < depth and far[z - way, y, x] < best - 1:
                     best, number = np.int64(far[z - way, y, x]) + 1, np.int64(owner[z - way, y, x])
-                if 0 <= y - way < height and far[z, y - way, x] + 1 < best:
+                if 0 <= y - way < height and far[z, y - way, x] < best - 1:
                     best, number = np.int64(far[z, y - way, x]) + 1, np.int64(owner[z, y - way, x])
-                if 0 <= x - way < width and far[z, y, x - way] + 1 < best:
+                if 0 <= x - way < width and far[z, y, x - way] < best - 1:
                     best, number = np.int64(far[z, y, x - way]) + 1, np.int64(owner[z, y, x - way])
                 if best < before:
                     far[z, y, x] = best
