@@ -161,6 +161,6 @@ def test_spilled_no_array_of_the_volume_is_in_memory(kind, parts, pictures, tmp_
         with tb.threads(1):
             plan = model.resident_memory(request)
         assert set(plan) == {"interpreter and kernels", "exemplar", "tables", "slab"}
-    del peaks[0]  # it loaded kernels
-    assert peaks[1] <= plan["tables"] + plan["slab"], "a slab takes more than was forecast"
-    assert peaks[1] <= 1.1 * peaks[0], peaks
+        if len(peaks) > 1:  # the first loads kernels
+            assert peaks[-1] <= plan["tables"] + plan["slab"], "a slab takes more than was forecast"
+    assert peaks[2] <= 1.1 * peaks[1], peaks

@@ -22,10 +22,10 @@ def philox(key, c0, c1, c2, c3):
     """Return four independent uint32 (as uint64) for one 4 x 32-bit counter under a 64-bit key."""
     k0, k1 = np.uint64(key) & _MASK, np.uint64(key) >> _SHIFT
     x0, x1, x2, x3 = (
-        np.uint64(c0) & _MASK,
-        np.uint64(c1) & _MASK,
-        np.uint64(c2) & _MASK,
-        np.uint64(c3) & _MASK,
+        np.uint64(np.int64(c0)) & _MASK,
+        np.uint64(np.int64(c1)) & _MASK,
+        np.uint64(np.int64(c2)) & _MASK,
+        np.uint64(np.int64(c3)) & _MASK,
     )
     for _ in range(10):
         p0, p1 = _M0 * x0, _M1 * x2
