@@ -370,14 +370,12 @@ def test_novelty_goes_with_labels_and_our_search_alone(bone):
     ):
         with pytest.raises(InputError, match="novelty=0"):
             tb.method("texture", novelty=0.5, **settings).fit(bone)
-        assert (
-            tb.method("texture", **settings).config.novelty_for(
-                distances=settings.get("field") is None
-            )
-            == 0
-        )
+        assert tb.method("texture", **settings).config.novelty_for(labels=True) == 0
+    grey = tb.Image(bone.values * np.uint8(90), "grey")
     with pytest.raises(InputError, match="novelty"):
-        tb.method("texture", novelty=0.5).fit(tb.Image(bone.values * np.uint8(90), "grey"))
+        tb.method("texture", novelty=0.5, layout="coarse").fit(grey)
+    coarse = tb.method("texture", layout="coarse").config
+    assert (coarse.novelty_for(labels=True), coarse.novelty_for(labels=False)) == (1, 0)
 
 
 def test_distances_count_in_the_voxels_of_their_level(bone):

@@ -28,9 +28,14 @@ def gaussian(values: np.ndarray, sigma: float | Sequence[float] | np.ndarray) ->
     return smooth if smooth is not values else smooth.copy()
 
 
+def reach_of(sigma: float) -> int:
+    """Return the voxels to either side that a smoothed voxel depends on."""
+    return int(np.ceil(_REACH * sigma))
+
+
 def _weights(sigma: float) -> np.ndarray:
     """Return the weights of offsets 0, 1, 2, ...; both sides together sum to 1."""
-    offset = np.arange(int(np.ceil(_REACH * sigma)) + 1)
+    offset = np.arange(reach_of(sigma) + 1)
     weight = np.exp(-0.5 * (offset / sigma) ** 2)
     return (weight / (2 * weight.sum() - weight[0])).astype(np.float32)
 

@@ -30,7 +30,7 @@ from trabecula.mesh.files import read_mesh
 from trabecula.mesh.voxels import scale_mesh, voxelise
 from trabecula.models import shipped_models
 from trabecula.synth.api.method import Model
-from trabecula.synth.api.registry import method
+from trabecula.synth.api.registry import recorded_method
 from trabecula.synth.api.serialize import load_model
 from trabecula.view.still import render
 
@@ -299,7 +299,7 @@ def _make_model(step: Mapping[str, Any], sources: RecipeFiles) -> Model:
         _replay_steps(Recipe.from_json(steps), sources.inside("exemplar", number))
         for number, steps in enumerate(step["exemplars"])
     ]
-    learner: Any = method(step["method"], **step["settings"])
+    learner: Any = recorded_method(step["method"], step["settings"])
     model: Model = learner.fit(**step["voxel"]) if "voxel" in step else learner.fit(exemplars)
     if named is not None:
         _check_model(

@@ -102,23 +102,20 @@ def _for_volume(image: Image) -> Recommendation:
     if image.kind != "labels":
         return Recommendation(
             "texture",
-            f"it learns {image.kind} values as they are; segment first for a part to be printed",
+            f"it makes a new structure and {image.kind} values on it; segment first for a part to "
+            "be printed",
         )
     body = has_bodies(image)
     if body is not None:
         return Recommendation(
             "texture",
-            f"{body} consists of separate bodies of one shape, which the default preset turns into "
-            "blobs; best keeps them, and "
-            "copies",
-            preset="best",
+            f"{body} consists of separate bodies of one shape: new material, in which bodies of "
+            "the scan's sizes are placed anew; --preset best keeps their arrangement, and copies",
         )
     if len(image.phases) > 2:
         return Recommendation(
             "texture",
-            f"with {len(image.phases)} phases the default preset's two-point function drifts; best "
-            "keeps it, and copies",
-            preset="best",
+            f"{len(image.phases)} phases without long-range order: new material, not copied",
         )
     return Recommendation(
         "texture", "a volume of two phases without long-range order: new material, not copied"

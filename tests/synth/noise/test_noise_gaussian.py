@@ -24,7 +24,7 @@ from trabecula.synth.noise.covariance import (
     radial_mean,
 )
 from trabecula.synth.noise.fields import Phases
-from trabecula.synth.noise.gaussian import integer_filter, white_plane
+from trabecula.synth.shared.gaussian.field import integer_filter, white_plane
 
 
 def exponential(shape, *, scale, seed, fraction=0.5, cover=40):
@@ -144,7 +144,7 @@ def test_how_a_volume_is_cut_does_not_matter(monkeypatch, phases):
     }
     ranked = tb.method("noise", reach=5, exact=True).fit(exemplar)
     exact = ranked.generate((30, 26, 21), seed=3).values
-    monkeypatch.setattr("trabecula.synth.noise.gaussian.PIECE", 11)
+    monkeypatch.setattr("trabecula.synth.shared.gaussian.field.PIECE", 11)
     for wraps, values in whole.items():
         assert np.array_equal(model.generate((30, 26, 21), seed=3, periodic=wraps).values, values)
     assert np.array_equal(ranked.generate((30, 26, 21), seed=3).values, exact)
@@ -189,7 +189,7 @@ def test_exact_shares_have_no_windows():
 @pytest.mark.whole
 @pytest.mark.parametrize("exact", [False, True])
 def test_the_forecast_holds_for_many_pieces(monkeypatch, exact):
-    monkeypatch.setattr("trabecula.synth.noise.gaussian.PIECE", 40)
+    monkeypatch.setattr("trabecula.synth.shared.gaussian.field.PIECE", 40)
     exemplar = np.random.default_rng(0).integers(0, 2, (40, 40, 40))
     model = tb.method("noise", reach=15, corrections=2, exact=exact).fit(exemplar)
     request = tb.Request((100, 75, 80), seed=1)

@@ -16,7 +16,8 @@ from trabecula.measure.correlation import two_point
 from trabecula.synth.noise import pattern
 from trabecula.synth.noise.config import COVARIANCES, KINDS, WALLED, NoiseConfig
 from trabecula.synth.noise.covariance import _NAMED
-from trabecula.synth.noise.lattice import CELL, Domain, VoxelGrid, grid_of, points_of
+from trabecula.synth.noise.lattice import CELL, VoxelGrid, grid_of, points_of
+from trabecula.synth.shared.gaussian.domain import Domain
 
 SHAPE = (34, 30, 37)
 LATTICES = sorted(pattern.PATTERNS)
@@ -101,7 +102,7 @@ def test_neither_bricks_nor_threads_matter(kind, monkeypatch):
         assert np.array_equal(model.generate(SHAPE, seed=1).values, whole)
     level = model._field(False).level(0, 0.5)
     monkeypatch.setattr(pattern, "_BRICK", (5, 7, 11))
-    monkeypatch.setattr("trabecula.synth.noise.gaussian.PIECE", 13)
+    monkeypatch.setattr("trabecula.synth.shared.gaussian.field.PIECE", 13)
     pattern.trial_level.cache_clear()
     again = noise(kind)
     assert again._field(False).level(0, 0.5) == level

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -154,3 +154,13 @@ def _place(point: EntryPoint) -> str:
 def _notify_once(text: str) -> None:
     """Report a text, once a process."""
     notify(text)
+
+
+def recorded_method(name: str, settings: Mapping[str, Any]) -> Method:
+    """Return a method with the settings of a recipe or a model.
+
+    Those that came later are as they were before: where the type of the settings has a class method
+    `recorded(settings)`, it completes them.
+    """
+    made = method(name)
+    return made.configure(**getattr(made.config_type, "recorded", dict)(settings))

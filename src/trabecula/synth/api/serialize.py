@@ -40,7 +40,7 @@ from trabecula.io.guard import check_there, report_damage
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method
 from trabecula.synth.api.model import FORMAT, KEY, STATE, VOXELS, Model, ModelState
-from trabecula.synth.api.registry import method, methods
+from trabecula.synth.api.registry import methods, recorded_method
 from trabecula.synth.api.windows import WindowModel, makes_boxes
 
 
@@ -143,7 +143,7 @@ def _build(path: Path, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any
         if not exemplars:
             raise ValueError("it names no exemplar")
         _check_finite(arrays)
-        chosen = method(name, **about["settings"])
+        chosen = recorded_method(name, about["settings"])
         stores = known[name].stores_exemplar
         _check_prefixes(arrays, (VOXELS, STATE) if stores else (STATE,))
         voxels, state = _take(arrays, VOXELS), _take(arrays, STATE)

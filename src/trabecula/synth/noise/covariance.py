@@ -13,33 +13,20 @@ doi:10.1016/0021-9797(84)90481-8).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
 
 from trabecula.numerics.transforms import fast_side, sums_by_offset
 from trabecula.synth.noise.config import NoiseConfig
+from trabecula.synth.shared.gaussian.filters import (
+    Filter,
+    absolute_offsets,
+    fading_window,
+    filter_of,
+)
 
 _ANGLES = 1 << 13
-_NEAR = 2.0  # voxels: offsets below it are fitted in full, those beyond less and less
-
-
-@dataclass(frozen=True)
-class Filter:
-    """A filter: white noise convolved with `values` has the fitted covariance.
-
-    Attributes
-    ----------
-    values : float32 array, odd sides
-        Offset 0 in the middle.
-    clipped : float
-        Share of the spectrum's size that was negative, which no field can have, before it was
-        fitted.
-    """
-
-    values: np.ndarray
-    clipped: float
 
 
 def joint_probability(fraction: float) -> tuple[np.ndarray, np.ndarray]:
@@ -70,7 +57,7 @@ def radial_mean(hits: np.ndarray, pairs: np.ndarray, reach: tuple[int, ...]) -> 
     Offsets are gathered by their rounded length, and S2 is linear between the mean lengths of
     neighbours. Beyond the longest known offset it keeps its last value.
     """
-    length = np.sqrt(sum(part.astype(np.float64) ** 2 for part in _axes(hits.shape)))
+    length = np.sqrt(sum(part.astype(np.float64) ** 2 for part in absolute_offsets(hits.shape)))
     bins, weight = np.rint(length).astype(np.int64).ravel(), pairs.ravel()
     count = np.bincount(bins, weight)
     known = count > 0
@@ -78,7 +65,7 @@ def radial_mean(hits: np.ndarray, pairs: np.ndarray, reach: tuple[int, ...]) -> 
     place = np.bincount(bins, weight * length.ravel())[known] / count[known]
     wide = tuple(2 * far + 1 for far in reach)
     return np.interp(
-        np.sqrt(sum(part.astype(np.float64) ** 2 for part in _axes(wide))), place, mean
+        np.sqrt(sum(part.astype(np.float64) ** 2 for part in absolute_offsets(wide))), place, mean
     )
 
 
@@ -92,69 +79,19 @@ def fit_filter(
     """
     angle, table = joint_probability(fraction)
     covariance = np.sin(np.interp(two_point, table, angle))
-    fading = _fading_around(two_point.shape) if isotropic else _fading(two_point.shape)
+    fading = _fading_around(two_point.shape) if isotropic else fading_window(two_point.shape)
     return filter_of(covariance * fading, corrections=corrections)
-
-
-def filter_of(covariance: np.ndarray, *, corrections: int) -> Filter:
-    """Return the filter for a covariance at every offset (odd sides, offset 0 in the middle).
-
-    The spectrum of a measured covariance has a negative part, since a finite image's S2 is
-    uncertain and not every S2 belongs to a Gaussian field. Clipping it adds white noise, felt most
-    at the shortest offsets; so the nearest spectrum without negative part is sought, in least
-    squares over offsets with weights that fall with distance, by projected gradients with momentum
-    (Beck and Teboulle 2009, FISTA, doi:10.1137/080716542).
-    """
-    wanted = np.fft.ifftshift(covariance).astype(np.float32)
-    weight = np.fft.ifftshift(_weight(covariance.shape)).astype(np.float32)
-    axes = (0, 1, 2)
-    raw = np.fft.rfftn(wanted, axes=axes).real
-    clipped = float(-raw[raw < 0].sum() / np.abs(raw).sum())
-    power = np.maximum(raw, 0)
-    latest = guess = np.fft.irfftn(power, wanted.shape, axes)
-    speed = 1.0
-    for _ in range(corrections):
-        power = np.maximum(np.fft.rfftn(guess + weight * (wanted - guess), axes=axes).real, 0)
-        better = np.fft.irfftn(power, wanted.shape, axes)
-        faster = (1 + np.sqrt(1 + 4 * speed**2)) / 2
-        guess = better + np.float32((speed - 1) / faster) * (better - latest)
-        latest, speed = better, faster
-    values = np.fft.fftshift(np.fft.irfftn(np.sqrt(power / latest[0, 0, 0]), wanted.shape, axes))
-    return Filter(values.astype(np.float32), clipped)
-
-
-def _axes(shape: tuple[int, ...]) -> list[np.ndarray]:
-    """Return the absolute offsets along every axis."""
-    return [
-        np.abs(part)
-        for part in np.ogrid[tuple(slice(-(side // 2), side // 2 + 1) for side in shape)]
-    ]
-
-
-def _fading(shape: tuple[int, ...]) -> np.ndarray:
-    """Return a window of 1 in the inner half of every axis, falling to 0 at the end as a cosine."""
-    window = np.ones(shape)
-    for part, side in zip(_axes(shape), shape, strict=True):
-        along = np.clip(2 * part / (side // 2 + 1) - 1, 0, 1)
-        window *= 0.5 + 0.5 * np.cos(np.pi * along)
-    return window
 
 
 def _fading_around(shape: tuple[int, ...]) -> np.ndarray:
     """Return the same window along every direction."""
-    z, y, x = _axes(shape)
+    z, y, x = absolute_offsets(shape)
     along = np.clip(
         2 * np.sqrt(z**2 + y**2 + x**2) / (min(side for side in shape if side > 1) // 2 + 1) - 1,
         0,
         1,
     )
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * along))
-
-
-def _weight(shape: tuple[int, ...]) -> np.ndarray:
-    """Return weights that fall with the offset."""
-    z, y, x = _axes(shape)
-    return (1 + (z**2 + y**2 + x**2) / _NEAR**2) ** -1.5
 
 
 _NAMED: dict[str, tuple[Callable[[np.ndarray], np.ndarray], float]] = {

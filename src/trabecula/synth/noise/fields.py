@@ -16,10 +16,11 @@ from trabecula.engine.blocks import Box
 from trabecula.engine.memory import Array, Stage, Workspace, within
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.noise.config import NoiseConfig
-from trabecula.synth.noise.covariance import MOST_REACH, Filter, covariance_filter, covariance_reach
-from trabecula.synth.noise.gaussian import GaussianField
-from trabecula.synth.noise.lattice import Domain, Use, domain_of, lift_box
+from trabecula.synth.noise.covariance import MOST_REACH, covariance_filter, covariance_reach
 from trabecula.synth.noise.pattern import LatticePattern
+from trabecula.synth.shared.gaussian.domain import Domain, Use, domain_of, lift_box
+from trabecula.synth.shared.gaussian.field import GaussianField
+from trabecula.synth.shared.gaussian.filters import Filter
 
 _CELL = 10
 """Voxels of a length that is not given."""

@@ -32,8 +32,8 @@ from trabecula.synth.noise.fields import (
     phases_of,
     stages_of_ranking,
 )
-from trabecula.synth.noise.gaussian import PIECE
-from trabecula.synth.noise.lattice import domain_of, lift_box
+from trabecula.synth.shared.gaussian.domain import domain_of, lift_box
+from trabecula.synth.shared.gaussian.field import PIECE
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _TABLES = 300_000  # bytes of the joint probability's table and what makes it

@@ -30,8 +30,6 @@ from trabecula.synth.noise.lattice import (
     APART,
     CELL,
     Axis,
-    Domain,
-    Use,
     VoxelGrid,
     grid_of,
     scatter_grid,
@@ -39,6 +37,7 @@ from trabecula.synth.noise.lattice import (
     wrap,
 )
 from trabecula.synth.noise.points import WALL, voronoi, voronoi_cells, voronoi_edges, worley
+from trabecula.synth.shared.gaussian.domain import Domain, Use
 
 
 @kernel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,8 +30,15 @@ class TextureConfig:
 
     novelty: float | None = None
     """The dial between moving patches of the exemplar (0) and copying no more than an independent
-    sample of the material does (1). Default: 1 for labels; 0 for grey and colour, and with the
-    paper's search, field or energies, which know no other."""
+    sample of the material does (1). Default: 1; 0 with the paper's search, field or energies,
+    which know no other. Grey values and colours above 0: their structure is made as labels, then
+    painted."""
+
+    layout: str = "structure"
+    """How new material begins. "structure": on the level that fits the exemplar's structure, with
+    its small bodies counted in the end; grey values and colours on a structure of their own.
+    "coarse": on the coarsest level, without these, as recipes and models have it that do not name
+    it."""
 
     first_rounds: int = 20
     """Rounds of search and vote on the coarsest level, which starts from random patches, 1 .. 100
@@ -140,20 +148,21 @@ class TextureConfig:
         """Return the distance between neighbourhoods of a width."""
         return self.step or width // 2
 
-    def novelty_for(self, *, distances: bool) -> float:
-        """Return the dial, or its default for exemplars of distances or of other fields.
+    def novelty_for(self, *, labels: bool) -> float:
+        """Return the dial, or its default for exemplars of labels or of grey values and colours.
 
         Raises
         ------
         InputError
             Novelty is set where it does not apply.
         """
+        distances = self.field == "distance" and (labels or self.layout == "structure")
         applies = distances and self.search == "coherent" and not self.energetic and self.histogram
         if self.novelty and not applies:
             raise InputError(
-                f"novelty={self.novelty:g} is for labels with search=coherent, field=distance "
-                "and no energies: give novelty=0, "
-                "or leave the others out"
+                f"novelty={self.novelty:g} is for search=coherent, field=distance, histogram "
+                "and no energies, with layout=coarse for labels alone: give novelty=0, or leave "
+                "the others out"
             )
         return (_NOVELTY if applies else 0.0) if self.novelty is None else self.novelty
 
@@ -161,6 +170,11 @@ class TextureConfig:
     def energetic(self) -> bool:
         """Return whether rounds follow the energy of equation (1) rather than the plain vote."""
         return self.gradient > 0 or self.adaptive or self.tolerance > 0
+
+    @classmethod
+    def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Complete the settings of a recipe or a model that is older than some of them."""
+        return {"layout": "coarse", **settings}
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
@@ -175,6 +189,7 @@ _CHOICES: dict[str, tuple[Any, ...]] = {
     "adaptive": (True, False),
     "field": ("distance", "indicator"),
     "search": ("coherent", "exact"),
+    "layout": ("structure", "coarse"),
     "orientations": ("none", "mirrors", "upright", "all"),
 }
 

@@ -4,21 +4,24 @@ With `novelty` the coarsest level is laid out anew (`novel_layout`), without it 
 patches (`exemplar_rounds`); from there both go by rounds of search (nearest neighbourhood of the
 exemplar for each of a sparse grid), vote (robust mean of overlapping ones) and histogram matching
 (`shared.coarse_to_fine`). The fields
-of labels are clipped signed distances, so the last threshold is exact.
+of labels are clipped signed distances, so the last threshold is exact. Grey values and colours with
+novelty are painted on a structure that is made as labels (`grey_levels`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from trabecula.core.errors import InputError, RequestError
-from trabecula.core.image import Image
-from trabecula.core.progress import track
+from trabecula.core.image import Image, with_values
+from trabecula.core.progress import notify, track
 from trabecula.core.request import Request
+from trabecula.core.seeds import generator
 from trabecula.engine.memory import Stage, forecast, resident
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.method import Method, Model
@@ -50,8 +53,27 @@ from trabecula.synth.texture.graded import (
     fractions_by_level,
     target_fractions,
 )
+from trabecula.synth.texture.grey_levels import (
+    GreyLevels,
+    find_threshold,
+    learn_levels,
+    structure_of,
+    trial_bytes,
+)
+from trabecula.synth.texture.small_bodies import (
+    body_stages,
+    learn_small_bodies,
+    settle_small_bodies,
+)
 
+_SETTLED = 3  # times that small bodies are counted and settled
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
+_EACH, _CHANNEL = 52, 14  # bytes of a voxel, and of its channels, while grey values are learnt
+_STRUCTURE = ("dark", "bright")
+_STRUCTURED = "structure, then grey values"
+_NOT_TOLD = (
+    "the grey values tell no two phases: they are made from patches of the exemplar (novelty 0)"
+)
 
 
 class Texture(Method):
@@ -75,21 +97,36 @@ class Texture(Method):
         """Forecast the principal components, and the finest level's fields and candidates."""
         channels = channels_of(exemplars)
         shapes = [exemplar.shape for exemplar in exemplars]
-        distances = exemplars[0].kind == "labels" and self.config.field == "distance"
+        labels = exemplars[0].kind == "labels"
         turns = len(symmetries(self.config.orientations, spacing=exemplars[0].spacing))
         size = turns * sum(int(np.prod(shape)) for shape in shapes)
-        if self.config.novelty_for(distances=distances) and novel_layout.top_for(
-            min(min(shape) for shape in shapes)
-        ):
-            width, halves = novel_layout.WIDTH, 1
+        novelty = self.config.novelty_for(labels=labels)
+        top = novel_layout.top_for(exemplars, self.config.layout) if novelty else 0
+        if top and not labels:
+            trial = max(trial_bytes(shape, channels) for shape in shapes)
+            fields = size * (_EACH + _CHANNEL * channels)
+            # the candidates of the structure are learnt before
+            return {"interpreter and kernels": _PROCESS, "fields": fields, "trial": trial}
+        if top:
             each = 8 + 9 * channels
+            kinds = [
+                (part.width, part.level)
+                for part in novel_layout.passes(novelty, top, self.config.layout)
+            ]
         else:  # the second level's neighbourhoods are the ones that are described in full
-            width, halves = max(self.config.neighbourhood), 2
             each = 14 + 11 * channels
-        count = turns * sum(
-            int(np.prod([max(1, side // halves - width + 1) for side in shape])) for shape in shapes
+            kinds = [(max(self.config.neighbourhood), 1)]
+        basis = max(
+            basis_bytes(
+                channels * width**3,
+                turns
+                * sum(
+                    int(np.prod([max(1, side // 2**level - width + 1) for side in shape]))
+                    for shape in shapes
+                ),
+            )
+            for width, level in kinds
         )
-        basis = basis_bytes(channels * width**3, count)
         return {"interpreter and kernels": _PROCESS, "fields": size * each, "basis": basis}
 
 
@@ -104,11 +141,16 @@ class TextureModel(Model):
         self.content: Content = content_of(
             exemplars, field=config.field, histogram=config.histogram
         )
-        self.novelty = config.novelty_for(distances=self.content.distances)
+        self.novelty = config.novelty_for(labels=exemplars[0].kind == "labels")
         turns = symmetries(config.orientations, spacing=exemplars[0].spacing)
         fields = [self.content.fields(exemplar) for exemplar in exemplars]
         smallest = min(min(exemplar.shape) for exemplar in exemplars)
-        self.top = novel_layout.top_for(smallest) if self.novelty else 0
+        self.top = novel_layout.top_for(exemplars, config.layout) if self.novelty else 0
+        self.structure: TextureModel | None = None
+        self.grey: GreyLevels | None = None
+        if self.top and not self.content.distances:
+            self._learn_structure(fields)
+            self.top = 0
         self.stacks, self._own = [], []
         for index in track(
             range(
@@ -129,7 +171,7 @@ class TextureModel(Model):
         self.targets = self._targets() if any(config.corrections) and self.content.distances else []
         if self.top:
             self._learn_new()
-        else:
+        elif self.structure is None:
             self.learnt = self._levels()
 
     @property
@@ -161,7 +203,7 @@ class TextureModel(Model):
     def _learn_new(self) -> None:
         """Learn the target of material that is not copied."""
         edges = isotropic_scale(self.exemplars[0].spacing)
-        schedule = novel_layout.passes(self.novelty, self.top)
+        schedule = novel_layout.passes(self.novelty, self.top, self.config.layout)
         self.aims = [
             novel_layout.aims_of(
                 self.stacks[index], self._own[index], index, edges, schedule, self.config
@@ -169,6 +211,36 @@ class TextureModel(Model):
             for index in range(self.top + 1)
         ]
         self.slices = novel_layout.slices_for(self._own[self.top])
+        assert isinstance(self.content, Labels)  # novelty is for labels
+        counted = self.content.present if self.config.layout == "structure" else ()
+        self.small = {label: learn_small_bodies(self.exemplars, label) for label in counted}
+
+    def _learn_structure(self, fields: Sequence[np.ndarray]) -> None:
+        """Learn the structure of grey values or colours as labels, and the levels on it."""
+        threshold = find_threshold(fields)
+        if threshold is None:
+            notify(_NOT_TOLD)
+            return
+        structures = [structure_of(field, threshold) for field in fields]
+        labels = [
+            with_values(
+                exemplar, structure, recipe=exemplar.recipe, kind="labels", phases=_STRUCTURE
+            )
+            for exemplar, structure in zip(self.exemplars, structures, strict=True)
+        ]
+        self.structure = TextureModel(self.config, labels)
+        self.grey = learn_levels(
+            fields,
+            structures,
+            threshold,
+            isotropic_scale(self.exemplars[0].spacing),
+            self._match_values,
+        )
+
+    def _match_values(self, votes: np.ndarray) -> np.ndarray:
+        """Return the fields of votes with the exemplars' histograms."""
+        values = self.content.to_values(votes, Request(votes.shape[1:]))
+        return self.content.fields(with_values(self.exemplars[0], values))
 
     def _quantise(self, field: np.ndarray, index: int) -> np.ndarray:
         """Round a field of level `index` to int8: a distance counts in the voxels of its level, a
@@ -179,9 +251,15 @@ class TextureModel(Model):
         return quantise(field, clip=FULL)
 
     def make(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
+        report: dict[str, Any] = {}
+        if self.structure is not None and self.grey is not None and self._makes_new(request):
+            structure, made = self.structure.make(replace(request, mask=None))
+            votes = self.grey.paint(structure, request)
+            return self.content.to_values(votes, request), {"way": _STRUCTURED, **made}
         if self._makes_new(request):
-            votes = novel_layout.make_novel(self._novel_rounds(request))
-            energies: list[dict[str, Any]] = []
+            votes = fit_to(novel_layout.make_novel(self._novel_rounds(request)), request.shape)
+            if self.small:
+                report["small_bodies"] = self._settle_small_bodies(votes, request)
         else:
             used = levels_for(request.shape, len(self.levels), width=max(self.config.neighbourhood))
             # no array is held by a name here: the run frees what it no longer needs
@@ -196,13 +274,40 @@ class TextureModel(Model):
                     fractions=self._fractions(request, used),
                 )
             )
-        votes = fit_to(votes, request.shape)
+            votes = fit_to(votes, request.shape)
+            if energies:
+                report["levels"] = energies
         if request.target and isinstance(self.content, Labels):
             request = average_target(request)
-        return self.content.to_values(votes, request), {"levels": energies} if energies else {}
+        if self.novelty and not self.content.distances:
+            report["way"] = "patches of the exemplar"
+        return self.content.to_values(votes, request), report
+
+    def _settle_small_bodies(self, votes: np.ndarray, request: Request) -> dict[str, Any]:
+        """Bring the small bodies of every phase to the exemplars' numbers, in the votes.
+
+        The bodies change the volume fractions, and what restores these may cut off others: so
+        again.
+        """
+        assert isinstance(self.content, Labels)
+        report: dict[str, Any] = {}
+        for number in range(_SETTLED):
+            values = self.content.to_values(votes, request)
+            for label, bodies in self.small.items():
+                report[self.content.names[label]] = settle_small_bodies(
+                    votes,
+                    values,
+                    bodies,
+                    label,
+                    self.content.present,
+                    draw=generator(request.seed, f"texture/bodies/{label}", number),
+                    periodic=request.periodic,
+                    mask=request.mask,
+                )
+        return report
 
     def _novel_rounds(self, request: Request) -> novel_layout.NovelRounds:
-        schedule = novel_layout.passes(self.novelty, self.top)
+        schedule = novel_layout.passes(self.novelty, self.top, self.config.layout)
         return novel_layout.NovelRounds(self.aims, self.slices, schedule, request, self.config)
 
     def _fractions(self, request: Request, count: int) -> list[np.ndarray]:
@@ -216,11 +321,12 @@ class TextureModel(Model):
         """Return whether there is room to lay out something new; beside known voxels neighbourhoods
         have to fit them.
         """
+        top = self.top if self.structure is None else self.structure.top
         return (
-            self.top > 0
+            top > 0
             and request.fixed is None
             and not request.target
-            and novel_layout.has_room(request.shape, self.top)
+            and novel_layout.has_room(request.shape, top)
         )
 
     def _check_request(self, request: Request) -> None:
@@ -249,10 +355,23 @@ class TextureModel(Model):
         finest level; of known voxels before it, and of the result after it.
         """
         distances = self.content.distances
+        if self.structure is not None and self.grey is not None and self._makes_new(request):
+            return (
+                *self.structure._stages(replace(request, mask=None), mapped=mapped),
+                *self.grey.stages(request),
+                *value_stages(
+                    request,
+                    request.shape,
+                    self.grey.channels,
+                    nbytes=self.output_bytes(request),
+                    distances=False,
+                ),
+            )
         if self._makes_new(request):
             rounds = self._novel_rounds(request)
-            stages, region = rounds.stages(mapped=mapped), rounds.regions[0]
-            finest = self.aims[0].candidates
+            finest, region = self.aims[0].candidates, rounds.regions[0]
+            counted = body_stages(request.shape, len(finest[-1].stack.field))
+            stages = (*rounds.stages(mapped=mapped), *(counted if self.small else ()))
         else:
             region, finest = Region(request.shape, request.periodic), self.levels[0]
             target = target_of(0, request, self.config, self.targets)
@@ -288,6 +407,10 @@ class TextureModel(Model):
     def _fixed(self) -> dict[str, int]:
         """Return the bytes that do not depend on the request."""
         exact = self.config.search == "exact"
+        if self.structure is not None and self.grey is not None and self.learnt is None:
+            fixed = self.structure._fixed()
+            fields = sum(stack.field.nbytes for stack in self.stacks)
+            return fixed | {"exemplar": fixed["exemplar"] + fields + self.grey.nbytes}
         kept = [c for aim in self.aims for c in aim.candidates] if self.top else []
         kept += [c for level in self.learnt or [] for c in level]
         searched = 3 if exact else 1  # prepared for it, in another order

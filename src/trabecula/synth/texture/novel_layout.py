@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.memory import Stage, Workspace, within
@@ -45,6 +46,10 @@ from trabecula.synth.texture.config import TextureConfig
 
 COARSEST = 2
 """The level that sliced rounds lay out, at most: 4 times coarser than the result."""
+
+_FINE = 1.5
+"""Voxels that the structure's length has at least on that level, if it is not level 1: where it has
+fewer, bodies lose their form."""
 
 LEAST = 8
 """Voxels that the exemplar and the result need on that level along every axis."""
@@ -88,7 +93,7 @@ class Aims:
     candidates: tuple[Candidates, ...]  # one per pass on this level
 
 
-def passes(novelty: float, top: int) -> tuple[Pass, ...]:
+def passes(novelty: float, top: int, layout: str) -> tuple[Pass, ...]:
     """List the passes from the level that sliced rounds lay out to the finest one.
 
     Less than full novelty lets neighbourhoods of the exemplar into the layout, and then widens
@@ -96,20 +101,44 @@ def passes(novelty: float, top: int) -> tuple[Pass, ...]:
     """
     moved = round(_MOVED * (1 - novelty))
     wide = moved >= _WIDE_FROM
-    schedule = (
-        Pass(2, 8, 1, moved, 2),
-        Pass(1, 8 if wide else WIDTH, 1, 4, 4),
-        Pass(0, WIDTH if wide else 5, 2, 2, 2, beyond=1.7),
+    coarser: tuple[Pass, ...] = ()
+    if top == COARSEST:
+        coarser = (Pass(2, 8, 1, moved, 2), Pass(1, 8 if wide else WIDTH, 1, 4, 4))
+    elif layout == "structure":
+        coarser = (Pass(1, 8, 1, 4 + moved, 2),)
+    narrow = WIDTH if wide or (top == 1 and coarser) else 5
+    return (
+        *(part for part in coarser if part.rounds),
+        Pass(0, narrow, 2, 2, 2, beyond=1.7),
         Pass(0, WIDTH, 2, 1, 1, beyond=0.0),
     )
-    return tuple(p for p in schedule if p.rounds and (p.level < top or p.level == COARSEST == top))
 
 
-def top_for(smallest: int) -> int:
-    """Return the level that sliced rounds lay out, for exemplars whose smallest side is this; 0:
-    there is no room for one.
+def structure_length(exemplars: Sequence[Image]) -> float:
+    """Return 4 phi (1 - phi) / s in voxels, with the share phi of the first phase and the surface s
+    between phases per volume: the mean of the mean chords of two phases, weighted crosswise.
     """
+    first = min(int(image.values.min()) for image in exemplars)
+    size = sum(image.values.size for image in exemplars)
+    share = sum(int(np.count_nonzero(image.values == first)) for image in exemplars) / size
+    surface = sum(
+        float(np.mean(np.diff(image.values, axis=axis) != 0)) * image.values.size / size
+        for image in exemplars
+        for axis in range(image.ndim)
+    )
+    return 4 * share * (1 - share) / surface
+
+
+def top_for(exemplars: Sequence[Image], layout: str) -> int:
+    """Return the level that sliced rounds lay out, for the exemplars' size and structure (of
+    grey values or colours: for their size); 0: there is no room for one.
+    """
+    smallest = min(min(image.shape) for image in exemplars)
     top = COARSEST
+    if layout == "structure" and exemplars[0].kind == "labels":
+        length = structure_length(exemplars)
+        while top > 1 and length < _FINE * 2**top:
+            top -= 1
     while top and smallest // 2**top < LEAST:
         top -= 1
     return top

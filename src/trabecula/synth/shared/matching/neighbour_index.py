@@ -1,7 +1,8 @@
 """An index of feature vectors for exact search.
 
-A leaf is 16 candidates close together, found by halving the set across its widest axis. In high
-dimensions a tree walked node by node opens nearly as many leaves, and pays for the walk.
+A leaf is 16 candidates close together, found by halving the set across its widest axis; a bough is
+32 leaves that follow one another. In high dimensions a tree walked node by node opens nearly as
+many leaves, and pays for the walk.
 """
 
 from __future__ import annotations
@@ -16,9 +17,11 @@ from trabecula.core.errors import InputError
 LEAF = 16
 """Candidates of a leaf: one AVX-512 register of float32, two of AVX2."""
 
+BOUGH = 32
+"""Leaves of a bough: about the square root of the leaves of half a million candidates, halved."""
+
 _MOST = 1000
 _SAMPLES = 4096  # vectors that are looked at together; so many say which axis is the widest
-_AT_ONCE = 128  # leaves whose centres are worked out at once
 
 
 @dataclass(frozen=True)
@@ -28,8 +31,11 @@ class NeighbourIndex:
     # (L, D, LEAF) int16, a leaf's features side by side; D filled with zeros to a multiple of 4
     tiles: np.ndarray
     index: np.ndarray  # (L, LEAF) int32, their place in the caller's array; -1 fills the last leaf
-    centres: np.ndarray  # (D + 1, L) float32, and as last row minus half the squared length
-    radius: np.ndarray  # (L,) float32, rounded up
+    # (B, D + 1, BOUGH) float32, and as last row minus half the squared length: -inf for no leaf
+    centres: np.ndarray
+    radius: np.ndarray  # (B, BOUGH) float32, rounded up
+    boughs: np.ndarray  # (D + 1, B) float32, as the centres of leaves
+    reaches: np.ndarray  # (B,) float32, the radius of a bough, rounded up
     # (D,) float32 of whole numbers: centres are relative to it, so that rounding stays small
     middle: np.ndarray
     k: int  # nearest ones that a search returns, at most
@@ -78,19 +84,43 @@ def build_index(
     pieces = (chosen[first : first + _SAMPLES] for first in range(0, len(chosen), _SAMPLES))
     sums = sum(features[piece].sum(0, dtype=np.int64) for piece in pieces)
     middle = np.rint(sums / len(chosen)).astype(np.float32)
-    centres, radius = np.empty((depth + 1, count), np.float32), np.empty(count, np.float32)
-    for first in range(0, count, _AT_ONCE):
-        part = slice(first, first + _AT_ONCE)
+    groups = -(-count // BOUGH)
+    centres = np.zeros((groups * BOUGH, depth + 1), np.float32)
+    centres[count:, depth] = -np.inf
+    radius = np.zeros(groups * BOUGH, np.float32)
+    boughs, reaches = np.empty((depth + 1, groups), np.float32), np.empty(groups, np.float32)
+    for group in range(groups):
+        part = slice(group * BOUGH, min(group * BOUGH + BOUGH, count))
         filled = np.where(index[part] < 0, index[part, :1], index[part])
         tiles[part, :depth] = features[filled].transpose(0, 2, 1)
         points = tiles[part, :depth] - middle[:, None]
-        centre = points.mean(2, keepdims=True)
-        centres[:depth, part] = centre[:, :, 0].T
-        centres[depth, part] = -0.5 * (centre[:, :, 0].astype(np.float64) ** 2).sum(1)
-        radius[part] = np.sqrt(((points - centre.astype(np.float64)) ** 2).sum(1).max(1)) * (
-            1 + 1e-6
+        centres[part], radius[part] = _balls(points)
+        boughs[:, group : group + 1], reaches[group : group + 1] = (
+            ball.T for ball in _balls(points.transpose(1, 0, 2).reshape(1, depth, -1))
         )
-    return NeighbourIndex(tiles, index, centres, radius, middle, k)
+    centres = centres.reshape(groups, BOUGH, depth + 1).transpose(0, 2, 1)
+    return NeighbourIndex(
+        tiles,
+        index,
+        np.ascontiguousarray(centres),
+        radius.reshape(groups, BOUGH),
+        boughs,
+        reaches,
+        middle,
+        k,
+    )
+
+
+def _balls(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (n, D + 1) centres of n sets of points (n, D, m), each with minus half its squared
+    length, and their radii, rounded up.
+    """
+    centre = points.mean(2, dtype=np.float32)
+    halves = -0.5 * (centre.astype(np.float64) ** 2).sum(1, keepdims=True)
+    apart = points - centre[:, :, None].astype(np.float64)
+    radius = np.sqrt((apart**2).sum(1).max(1)) * (1 + 1e-6)
+    # float32 rounds half of the radii down, by less than the factor above
+    return np.concatenate([centre, halves.astype(np.float32)], 1), radius.astype(np.float32)
 
 
 def as_feature_table(features: np.ndarray, name: str) -> np.ndarray:

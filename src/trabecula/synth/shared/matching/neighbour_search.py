@@ -1,8 +1,9 @@
 """Exact k nearest neighbours in an index of feature vectors, and their second ordering by the index
 histogram.
 
-Distances to the centres of all leaves come from one float32 matrix product; a leaf is opened where
-its centre is not farther than the k-th best so far plus the leaf's radius. The float32 products
+Distances to the centres of all boughs come from one float32 matrix product; a bough, and then a
+leaf of it, is opened where
+its centre is not farther than the k-th best so far plus its radius. The float32 products
 only *exclude*, with a bound on their rounding error, and what remains is compared in integers. So
 the result is that of a search in exact arithmetic, whatever the BLAS, the threads and the order of
 the leaves.
@@ -15,15 +16,21 @@ import numpy as np
 from trabecula.core.errors import InputError
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
-from trabecula.synth.shared.matching.neighbour_index import LEAF, NeighbourIndex, as_feature_table
+from trabecula.synth.shared.matching.neighbour_index import (
+    BOUGH,
+    LEAF,
+    NeighbourIndex,
+    as_feature_table,
+)
 
 _QUERIES = 64  # queries of one matrix product: their products with all centres stay in the cache
+_FIRST = 3  # boughs that every query opens before it is known how far it has to look
 _ROUNDING = 2.0**-24
 
 
 def neighbour_bytes(count: int, k: int) -> int:
     """Forecast the memory of a search among `count` candidates, per thread."""
-    return _QUERIES * (5 * count // LEAF + 64 * k)
+    return _QUERIES * (5 * count // (LEAF * BOUGH) + 64 * k)
 
 
 def k_nearest(queries: np.ndarray, among: NeighbourIndex) -> tuple[np.ndarray, np.ndarray]:
@@ -106,8 +113,9 @@ def _search(
     queries: np.ndarray, among: NeighbourIndex, index: np.ndarray, distance: np.ndarray
 ) -> None:
     moved = queries - among.middle
-    scores = np.column_stack([moved, np.ones(len(moved), np.float32)]) @ among.centres
-    search_leaves(queries, moved, scores, among.tiles, among.index, among.radius, index, distance)
+    scores = np.column_stack([moved, np.ones(len(moved), np.float32)]) @ among.boughs
+    leaves = (among.tiles, among.index, among.centres, among.radius)
+    search_leaves(queries, moved, scores, leaves, among.reaches, index, distance)
 
 
 def index_histogram(match: np.ndarray, count: int, active: np.ndarray | None = None) -> np.ndarray:
@@ -238,30 +246,33 @@ def _highest(score, highest, where):
     """Find the best centre of every sixteenth: a maximum that is vectorised."""
     highest[:] = -np.inf
     where[:] = 0
-    for first in range(0, len(score) - LEAF + 1, LEAF):
-        for j in range(LEAF):
+    for first in range(0, len(score), LEAF):
+        for j in range(min(LEAF, len(score) - first)):
             better = score[first + j] > highest[j]
             highest[j] = score[first + j] if better else highest[j]
             where[j] = first + j if better else where[j]
 
 
 @kernel
-def search_leaves(queries, moved, scores, tiles, index, radius, best, distance):
-    """Search the nearest candidates of a few queries. scores (Q, L) float32: q c - |c|^2 / 2 for
-    every centre c; spoiled.
+def search_leaves(queries, moved, scores, leaves, reaches, best, distance):
+    """Search the nearest candidates of a few queries. scores (Q, B) float32: q c - |c|^2 / 2 for
+    every bough's centre c; spoiled.
 
     |q - c| <= reach + radius, with reach the k-th best so far, is tested as 2 score + (reach +
-    radius)^2 >= |q|^2, less what rounding may take. First every query opens sixteen near leaves, so
-    that its reach is nearly final. Then leaf after leaf is opened for all queries that need it,
+    radius)^2 >= |q|^2, less what rounding may take. First every query opens a few near boughs, so
+    that its reach is nearly final. Then bough after bough is opened for all queries that need it,
     while it is in the cache.
     """
+    tiles, index, centres, radius = leaves
     near, passed = np.empty(LEAF, np.float32), np.empty(LEAF, np.bool_)
     highest, where = np.empty(LEAF, np.float32), np.empty(LEAF, np.int32)
+    lanes = np.empty(BOUGH, np.float32)
     smooth = np.zeros((len(queries), tiles.shape[1]), np.float32)
     lowest = np.empty(len(queries), np.float32)
-    count, widest = len(radius), np.float64(radius.max())
+    count, widest = len(reaches), np.float64(reaches.max())
     opened = np.zeros((len(queries), -(-count // 8) * 8), np.bool_)
     eights, together = passed.view(np.uint64), opened.view(np.uint64)
+    scratch = near, passed, eights, lanes
     for q in range(len(queries)):
         score = scores[q]
         best[q], distance[q] = 2**31 - 1, 2**62
@@ -270,44 +281,96 @@ def search_leaves(queries, moved, scores, tiles, index, radius, best, distance):
             smooth[q, d] = queries[q, d]
             square += np.float64(moved[q, d]) ** 2
         _highest(score, highest, where)
-        for j in range(LEAF):
-            if score[where[j]] > -np.inf:
-                _scan(
-                    where[j],
-                    queries[q],
-                    smooth[q],
-                    tiles,
-                    index,
-                    near,
-                    passed,
-                    eights,
-                    best[q],
-                    distance[q],
-                )
-                score[where[j]] = -np.inf
-        reach = np.sqrt(np.float64(distance[q, -1]))
-        slack = 8 * (moved.shape[1] + 8) * _ROUNDING * (square + (reach + widest) ** 2)
-        lowest[q] = np.float32(square - slack)
-        _open(score, radius, np.float32(reach), lowest[q], opened[q])
+        lowest[q] = -np.inf
+        for _ in range(min(_FIRST, count)):
+            lane = highest.argmax()
+            bough = where[lane]
+            if highest[lane] == -np.inf:
+                break
+            leaf = _score_leaves(bough, moved[q], centres, lanes)
+            _scan(
+                bough * BOUGH + leaf,
+                queries[q],
+                smooth[q],
+                tiles,
+                index,
+                near,
+                passed,
+                eights,
+                best[q],
+                distance[q],
+            )
+            lanes[leaf] = -np.inf
+            lowest[q] = _lowest(square, distance[q, -1], widest, moved.shape[1])
+            _open_leaves(
+                bough,
+                queries[q],
+                smooth[q],
+                tiles,
+                index,
+                radius,
+                lowest[q],
+                scratch,
+                best[q],
+                distance[q],
+            )
+            highest[lane] = score[bough] = -np.inf
+        reach = np.float32(np.sqrt(np.float64(distance[q, -1])))
+        lowest[q] = _lowest(square, distance[q, -1], widest, moved.shape[1])
+        _open(score, reaches, reach, lowest[q], opened[q])
     for eight in range(together.shape[1]):
         for q in range(len(queries)):
             if together[q, eight] == 0:
                 continue
-            for leaf in range(8 * eight, min(8 * eight + 8, count)):
-                far = np.float32(np.sqrt(np.float64(distance[q, -1]))) + radius[leaf]
-                if opened[q, leaf] and np.float32(2) * scores[q, leaf] + far * far >= lowest[q]:
-                    _scan(
-                        leaf,
+            for bough in range(8 * eight, min(8 * eight + 8, count)):
+                far = np.float32(np.sqrt(np.float64(distance[q, -1]))) + reaches[bough]
+                if opened[q, bough] and np.float32(2) * scores[q, bough] + far * far >= lowest[q]:
+                    _score_leaves(bough, moved[q], centres, lanes)
+                    _open_leaves(
+                        bough,
                         queries[q],
                         smooth[q],
                         tiles,
                         index,
-                        near,
-                        passed,
-                        eights,
+                        radius,
+                        lowest[q],
+                        scratch,
                         best[q],
                         distance[q],
                     )
+
+
+@inline
+def _lowest(square, farthest, widest, depth):
+    """Compute |q|^2 less what rounding may take from a test within the k-th best so far."""
+    reach = np.sqrt(np.float64(farthest)) + widest
+    return np.float32(square - 8 * (depth + 8) * _ROUNDING * (square + reach * reach))
+
+
+@inline
+def _score_leaves(bough, moved, centres, lanes):
+    """Write q c - |c|^2 / 2 of the leaves of a bough; return the place of the highest."""
+    tile = centres[bough]
+    depth, count = len(moved), len(lanes)
+    for j in range(count):
+        lanes[j] = tile[depth, j]
+    for d in range(depth):
+        factor = moved[d]
+        for j in range(count):
+            lanes[j] += factor * tile[d, j]
+    return lanes.argmax()
+
+
+@inline
+def _open_leaves(bough, query, smooth, tiles, index, radius, lowest, scratch, best, distance):
+    """Open the leaves of a bough that may hold one of the nearest."""
+    near, passed, eights, lanes = scratch
+    for j in range(len(lanes)):
+        far = np.float32(np.sqrt(np.float64(distance[-1]))) + radius[bough, j]
+        if np.float32(2) * lanes[j] + far * far >= lowest:
+            _scan(
+                bough * BOUGH + j, query, smooth, tiles, index, near, passed, eights, best, distance
+            )
 
 
 @inline

@@ -22,8 +22,8 @@ from trabecula.engine.gaussian_random import normal_line, quantiles
 from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.numerics.transforms import fast_side
-from trabecula.synth.noise.covariance import Filter
-from trabecula.synth.noise.lattice import Domain, Use
+from trabecula.synth.shared.gaussian.domain import Domain, Use
+from trabecula.synth.shared.gaussian.filters import Filter
 
 
 @kernel
@@ -197,11 +197,14 @@ class GaussianField:
 
     def level(self, number: int, share: float) -> float:
         """Return the half number above which the field has the share."""
+        return math.floor(NormalDist().inv_cdf(1 - share) * self.spread(number)) + 0.5
+
+    def spread(self, number: int) -> float:
+        """Return the standard deviation of a field, in whole numbers."""
         table = quantiles(WHITE).astype(np.float64)
-        spread = math.sqrt(
+        return math.sqrt(
             float((integer_filter(self.filters[number]) ** 2).sum()) * float(np.mean(table**2))
         )
-        return math.floor(NormalDist().inv_cdf(1 - share) * spread) + 0.5
 
     def stages(self, shape: Sequence[int]) -> tuple[Stage, ...]:
         """Return the stages of making a box (Z, Y, X): the response of the filter, the field."""

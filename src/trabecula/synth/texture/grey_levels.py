@@ -1,0 +1,383 @@
+"""Grey values and colours of a structure, by what a scan adds to its phases.
+
+A scan is taken as the sum of two parts, both of them learnt from the exemplar:
+
+1. The expected level: a sum of Gaussians of the structure, fitted by least squares. It holds the
+   contrast, the blur, partial volume and dark or bright rims.
+2. The residual: a Gaussian random field for either phase, with the covariance that the exemplar's
+   residual has there. Channels of a colour are made of independent fields along the principal axes
+   of the residual. A trial on the exemplar's own structure lowers the frequencies of which the
+   result has more than the exemplar: parts 1 and 2 are not independent where interfaces are lost
+   between voxels.
+
+Then the levels beside an interface are shifted, smoothly, where they lie on the wrong side of the
+threshold, so that the iso-surface is that of the structure. No voxel is copied. Unlike votes of
+neighbourhoods, which blur where they overlap and tear grains where they do not, this keeps the
+grain, and loses what is not Gaussian in the residual.
+
+All of it is local: it goes by tiles, whose cut does not change a voxel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.request import Request
+from trabecula.engine.memory import Array, Stage, Workspace, forecast, within
+from trabecula.exemplar.segment import otsu
+from trabecula.measure.smooth import gaussian, reach_of
+from trabecula.numerics.transforms import sums_by_offset
+from trabecula.synth.shared.content.fields import FULL, UNIT
+from trabecula.synth.shared.gaussian.domain import domain_of
+from trabecula.synth.shared.gaussian.field import GaussianField
+from trabecula.synth.shared.gaussian.filters import Filter, fading_window, filter_of
+
+_CLEAR = 0.65  # between-class variance over the variance; of one normal distribution it is 2 / pi
+_RARE = 0.005  # a phase of less is not learnt
+_SMOOTH = 1.0  # voxels, before a threshold: grain is no structure
+_SCALES = (0.0, 0.7, 1.4, 2.8)  # voxels, of the Gaussians of the structure
+_EDGE = 1  # the one of `_SCALES` by which the residuals of the phases pass into each other
+_RIDGE = 1e-4
+_REACH = 10  # voxels, of the residual's covariance
+_PAIRS = 200  # of a covariance: an offset with fewer pairs hardly counts
+_BANDS = 24  # of frequencies
+_TRIALS, _LEAST_GAIN = 2, 0.02
+_SHIFTS, _SPREAD, _HASTE = 2, 0.8, 2.0  # rounds, voxels, times the gap to the threshold
+_TILE = 64
+_LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
+
+Match = Callable[[np.ndarray], np.ndarray]
+"""Makes the fields (C, Z, Y, X) float32 of votes, with the exemplars' histograms."""
+
+
+def find_threshold(fields: Sequence[np.ndarray]) -> float | None:
+    """Return the level that splits fields (C, Z, Y, X) into two phases (Otsu); None where their
+    histogram tells no phases.
+    """
+    smooth = np.concatenate([gaussian(_luminance(field), _SMOOTH).ravel() for field in fields])
+    spread = float(smooth.var(dtype=np.float64))
+    if spread == 0:
+        return None
+    (threshold,) = otsu(smooth)
+    bright = smooth > np.float32(threshold)
+    share = float(bright.mean())
+    if not _RARE <= share <= 1 - _RARE:
+        return None
+    gap = float(smooth[bright].mean(dtype=np.float64) - smooth[~bright].mean(dtype=np.float64))
+    return threshold if share * (1 - share) * gap**2 >= _CLEAR * spread else None
+
+
+def structure_of(field: np.ndarray, threshold: float) -> np.ndarray:
+    """Return the structure (Z, Y, X) uint8 of a field (C, Z, Y, X): 1 where it is brighter."""
+    return (gaussian(_luminance(field), _SMOOTH) > np.float32(threshold)).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class GreyLevels:
+    """Levels of a structure, in the units of a field.
+
+    Attributes
+    ----------
+    threshold : float
+        Of the iso-surface.
+    edges : three floats
+        Sides of a voxel over their geometric mean.
+    weights : (C, 1 + scales) float64
+        Of a constant and of the Gaussians of the structure in the expected level.
+    mixes : (2, C, C) float64
+        Level of every channel for one standard deviation of each residual field, by phase.
+    filters : tuple of Filter
+        Of the residual fields: all those of the dark phase, then of the bright one.
+    """
+
+    threshold: float
+    edges: tuple[float, ...]
+    weights: np.ndarray
+    mixes: np.ndarray
+    filters: tuple[Filter, ...]
+
+    @property
+    def channels(self) -> int:
+        """Count the channels."""
+        return len(self.weights)
+
+    @property
+    def nbytes(self) -> int:
+        """Return the bytes of the filters."""
+        return sum(one.values.nbytes for one in self.filters)
+
+    def paint(self, structure: np.ndarray, request: Request) -> np.ndarray:
+        """Return votes (C, Z, Y, X) int16 for a structure (Z, Y, X) uint8 of the request's shape
+        and periodic axes.
+        """
+        work = Workspace(self.stages(request))
+        work.enter("expected levels")
+        work.adopt("structure", structure)
+        self._expect(work, request.periodic)
+        self._add_residual(work, request)
+        work.enter("shift")
+        self._shift(work, request.periodic)
+        return work.take("votes")
+
+    def stages(self, request: Request) -> tuple[Stage, ...]:
+        """Declare the arrays of `paint`."""
+        shape, channels = request.shape, self.channels
+        held = {
+            "structure": Array(shape, np.uint8),
+            "levels": Array((channels, *shape), np.float32),
+            "share": Array(shape, np.uint8),
+        }
+        votes = {name: held[name] for name in ("structure", "levels")}
+        votes["votes"] = Array((channels, *shape), np.int16)
+        tile = 4 * (6 + 2 * channels)
+        wide, far = self._reach(max(_SCALES)), self._shift_reach()
+        return (
+            Stage("expected levels", held, tile * _tile_voxels(shape, wide)),
+            *within(held, GaussianField(list(self.filters)).stages(shape)),
+            Stage("residual", held),
+            Stage("shift", votes, tile * _tile_voxels(shape, far)),
+        )
+
+    def _sigma(self, scale: float) -> tuple[float, ...]:
+        return tuple(scale / edge for edge in self.edges)
+
+    def _reach(self, scale: float) -> tuple[int, ...]:
+        return tuple(reach_of(sigma) for sigma in self._sigma(scale))
+
+    def _shift_reach(self) -> tuple[int, ...]:
+        pairs = zip(self._reach(_SMOOTH), self._reach(_SPREAD), strict=True)
+        return tuple(_SHIFTS * (first + second) for first, second in pairs)
+
+    def _expect(self, work: Workspace, periodic: tuple[bool, ...]) -> None:
+        """Write the expected levels, and the share of the bright phase in 1 / 255."""
+        structure, levels, share = work["structure"], work.empty("levels"), work.empty("share")
+        for tile in _tiles(structure.shape):
+            around, inner = _with_halo(structure, tile, self._reach(max(_SCALES)), periodic)
+            parts = [part[inner] for part in _gaussians(around, self.edges)]
+            for channel, weights in zip(levels, self.weights, strict=True):
+                channel[tile] = _expected(weights, parts)
+            share[tile] = np.rint(np.clip(parts[_EDGE], 0, 1) * 255)
+
+    def _add_residual(self, work: Workspace, request: Request) -> None:
+        """Add the residual fields, each by the share of its phase."""
+        work.enter("residual")
+        levels, share = work["levels"], work["share"]
+        field, domain = GaussianField(list(self.filters)), domain_of(request)
+        box = tuple((0, side) for side in request.shape)
+        amounts = np.sqrt(np.arange(256, dtype=np.float32) / 255)
+        for number in range(len(self.filters)):
+            phase, axis = divmod(number, self.channels)
+            scale = (self.mixes[phase][:, axis] / field.spread(number)).astype(np.float32)
+            amount = amounts if phase else amounts[::-1]
+
+            def add(
+                piece: tuple[slice, ...],
+                z: int,
+                plane: np.ndarray,
+                scale: np.ndarray = scale,
+                amount: np.ndarray = amount,
+            ) -> None:
+                part = amount[share[piece][z]] * plane.astype(np.float32)
+                for channel, factor in zip(levels, scale, strict=True):
+                    channel[piece][z] += factor * part
+
+            field.each(number, domain, box, add)
+
+    def _shift(self, work: Workspace, periodic: tuple[bool, ...]) -> None:
+        """Write the votes: levels that lie on their phase's side of the threshold."""
+        structure, levels, votes = work["structure"], work["levels"], work.empty("votes")
+        level, limit = np.float32(self.threshold), FULL * UNIT
+        for tile in _tiles(structure.shape):
+            bright = _with_halo(structure, tile, self._shift_reach(), periodic)[0] > 0
+            parts = [_with_halo(one, tile, self._shift_reach(), periodic) for one in levels]
+            around, inner = np.stack([part for part, _ in parts]), parts[0][1]
+            for _ in range(_SHIFTS):
+                smooth = gaussian(_luminance(around), self._sigma(_SMOOTH))
+                wrong = (smooth > level) != bright
+                gap = np.where(wrong, level - smooth, np.float32(0))
+                around += np.float32(_HASTE) * gaussian(gap, self._sigma(_SPREAD))
+            kept = around[(slice(None), *inner)]
+            votes[(slice(None), *tile)] = np.clip(np.rint(kept * UNIT), -limit, limit)
+
+
+def learn_levels(
+    fields: Sequence[np.ndarray],
+    structures: Sequence[np.ndarray],
+    threshold: float,
+    edges: tuple[float, ...],
+    match: Match,
+) -> GreyLevels:
+    """Learn the levels of fields (C, Z, Y, X) float32 with their structures (Z, Y, X) uint8."""
+    weights = _fit_weights(fields, structures, edges)
+    residuals = []
+    for field, structure in zip(fields, structures, strict=True):
+        parts = _gaussians(structure, edges)
+        levels = [_expected(one, parts) for one in weights]
+        residuals.append(field - np.stack(levels))
+    found = [_residual_axes(residuals, structures, phase) for phase in (0, 1)]
+    mixes, covariances = np.stack([mix for mix, _ in found]), [c for _, part in found for c in part]
+
+    def levels_at(gains: np.ndarray) -> GreyLevels:
+        shaped = [_shape_spectrum(covariance, gains) for covariance in covariances]
+        spreads = np.sqrt([covariance[_middle(covariance)] for covariance in shaped])
+        scaled = mixes * spreads.reshape(2, 1, -1)
+        filters = tuple(filter_of(covariance, corrections=0) for covariance in shaped)
+        return GreyLevels(threshold, edges, weights, scaled, filters)
+
+    gains: np.ndarray = np.ones(_BANDS)
+    wanted: Any = sum(_power(_luminance(field)) for field in fields)
+    pairs = list(zip(fields, residuals, strict=True))
+    expected: Any = sum(_power(_luminance(field - residual)) for field, residual in pairs)
+    residuals.clear()
+    del pairs
+    for trial in range(_TRIALS):
+        trial_levels = levels_at(gains)
+        made: Any = sum(
+            _power(_luminance(match(trial_levels.paint(one, Request(one.shape, seed=trial)))))
+            for one in structures
+        )
+        # small exemplars leave bands without a frequency
+        residual = np.maximum(np.maximum(made - expected, 0.1 * made), 1e-12)
+        gains = np.clip(gains * (1 + (wanted - made) / residual), _LEAST_GAIN, 1)
+    return levels_at(gains)
+
+
+def trial_bytes(shape: tuple[int, ...], channels: int) -> int:
+    """Forecast the bytes of painting an exemplar while its levels are learnt."""
+    sides = tuple(2 * min(_REACH, (side - 1) // 2) + 1 for side in shape)
+    filters = (Filter(np.zeros(sides, np.float32), 0.0),) * (2 * channels)
+    weights = np.zeros((channels, len(_SCALES) + 1))
+    empty = GreyLevels(0.0, (1.0,) * 3, weights, np.zeros((2, channels, channels)), filters)
+    return forecast(empty.stages(Request(shape)), {}).peak
+
+
+def _fit_weights(
+    fields: Sequence[np.ndarray], structures: Sequence[np.ndarray], edges: tuple[float, ...]
+) -> np.ndarray:
+    """Fit the expected levels by least squares, with a little ridge: the Gaussians are alike."""
+    size, channels = len(_SCALES) + 1, len(fields[0])
+    normal, right, count = np.zeros((size, size)), np.zeros((size, channels)), 0
+    for field, structure in zip(fields, structures, strict=True):
+        parts = [np.ones(structure.shape, np.float32), *_gaussians(structure, edges)]
+        for i, part in enumerate(parts):
+            for j in range(i + 1):
+                normal[i, j] += (part * parts[j]).sum(dtype=np.float64)
+            right[i] += (part * field).sum(axis=(1, 2, 3), dtype=np.float64)
+        count += structure.size
+    normal += np.tril(normal, -1).T
+    normal[np.diag_indices(size)] += _RIDGE * normal[1, 1] * (np.arange(size) > 0)
+    return np.asarray(np.linalg.solve(normal / count, right / count).T)
+
+
+def _gaussians(structure: np.ndarray, edges: tuple[float, ...]) -> list[np.ndarray]:
+    """Return the structure (Z, Y, X), smoothed on every scale."""
+    sigmas = (tuple(scale / edge for edge in edges) for scale in _SCALES)
+    return [gaussian(structure, sigma) for sigma in sigmas]
+
+
+def _expected(weights: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the expected levels of a channel, (Z, Y, X) float32."""
+    levels = np.full(parts[0].shape, np.float32(weights[0]))
+    for weight, part in zip(weights[1:], parts, strict=True):
+        levels += np.float32(weight) * part
+    return levels
+
+
+def _residual_axes(
+    residuals: Sequence[np.ndarray], structures: Sequence[np.ndarray], phase: int
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return the principal axes (C, C) of residuals in a phase, as columns, and the covariance of
+    the residual along each.
+    """
+    inside = [structure == phase for structure in structures]
+    values = np.concatenate(
+        [residual[:, at] for residual, at in zip(residuals, inside, strict=True)], axis=1
+    )
+    moments = np.einsum("ik,jk->ij", values, values, dtype=np.float64) / values.shape[1]
+    axes = np.linalg.eigh(moments)[1]
+    shortest = np.min([structure.shape for structure in structures], axis=0)
+    reach = tuple(min(_REACH, (int(side) - 1) // 2) for side in shortest)
+    counts: Any = sum(sums_by_offset(at, reach).astype(np.float64) for at in inside)
+    covariances = []
+    for axis in axes.T:
+        sums: Any = sum(
+            sums_by_offset(_weighted_sum(part, axis.astype(np.float32)) * at, reach)
+            for part, at in zip(residuals, inside, strict=True)
+        )
+        covariance = sums / (counts + _PAIRS)
+        covariances.append(covariance * fading_window(covariance.shape))
+    return axes, covariances
+
+
+def _shape_spectrum(covariance: np.ndarray, gains: np.ndarray) -> np.ndarray:
+    """Return a covariance without the negative part of its spectrum, times gains by frequency."""
+    power = np.maximum(np.fft.rfftn(np.fft.ifftshift(covariance)).real, 1e-12)
+    power *= np.interp(_frequencies(covariance.shape), (np.arange(_BANDS) + 0.5) / _BANDS, gains)
+    return np.fft.fftshift(np.fft.irfftn(power, covariance.shape, axes=(0, 1, 2)))
+
+
+def _frequencies(shape: Sequence[int]) -> np.ndarray:
+    """Return the frequencies of a real transform over the highest along an axis."""
+    z, y, x = shape
+    squares = np.ix_(np.fft.fftfreq(z) ** 2, np.fft.fftfreq(y) ** 2, np.fft.rfftfreq(x) ** 2)
+    return np.asarray(2 * np.sqrt(sum(squares)))
+
+
+def _power(values: np.ndarray) -> np.ndarray:
+    """Sum the power of (Z, Y, X) float32 over bands of frequencies, (bands,); higher ones count
+    with the last.
+    """
+    windows = np.ix_(*[np.hanning(side + 2)[1:-1].astype(np.float32) for side in values.shape])
+    seen = (values - values.mean(dtype=np.float64).astype(np.float32)) * windows[0]
+    spectrum = np.fft.rfftn(seen * windows[1] * windows[2], axes=(0, 1, 2))
+    bands = np.minimum((_frequencies(values.shape) * _BANDS).astype(np.int64), _BANDS - 1)
+    squares = spectrum.real**2 + spectrum.imag**2
+    return np.bincount(bands.ravel(), weights=squares.ravel(), minlength=_BANDS)
+
+
+def _luminance(field: np.ndarray) -> np.ndarray:
+    """Return the one channel of a field (C, Z, Y, X), or the luminance of three."""
+    return _weighted_sum(field, _LUMINANCE if len(field) == 3 else np.ones(1, np.float32))
+
+
+def _weighted_sum(field: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Sum channels one after another: a matrix product may round by the number of threads."""
+    total = weights[0] * field[0]
+    for weight, channel in zip(weights[1:], field[1:], strict=True):
+        total += weight * channel
+    return np.asarray(total)
+
+
+def _middle(array: np.ndarray) -> tuple[int, ...]:
+    return tuple(side // 2 for side in array.shape)
+
+
+def _tiles(shape: Sequence[int]) -> Iterator[tuple[slice, ...]]:
+    """Yield boxes that fill a volume."""
+    cuts = ([slice(a, min(a + _TILE, side)) for a in range(0, side, _TILE)] for side in shape)
+    yield from product(*cuts)
+
+
+def _tile_voxels(shape: Sequence[int], reach: Sequence[int]) -> int:
+    """Count the voxels of a tile with its halo."""
+    sides = (min(_TILE, side) + 2 * far for side, far in zip(shape, reach, strict=True))
+    return int(np.prod(list(sides)))
+
+
+def _with_halo(
+    values: np.ndarray, tile: tuple[slice, ...], reach: Sequence[int], periodic: Sequence[bool]
+) -> tuple[np.ndarray, tuple[slice, ...]]:
+    """Return a tile of (Z, Y, X) with what is around it, and the tile's place therein; beyond an
+    open face the last voxel is repeated.
+    """
+    places, inner = [], []
+    for cut, far, wraps, side in zip(tile, reach, periodic, values.shape, strict=True):
+        place = np.arange(cut.start - far, cut.stop + far)
+        places.append(place % side if wraps else place.clip(0, side - 1))
+        inner.append(slice(far, far + cut.stop - cut.start))
+    return values[np.ix_(*places)], tuple(inner)

@@ -1,0 +1,247 @@
+"""`texture` of scans: the structure is made as labels, then grey values or colours on it."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+import trabecula as tb
+from trabecula.core.progress import listen
+from trabecula.engine import checkpoint, memmap
+from trabecula.engine.memory import check_releases
+from trabecula.measure.correlation import two_point
+from trabecula.synth.texture import grey_levels
+from trabecula.synth.texture.grey_levels import find_threshold, structure_of
+
+SHAPE = (40, 36, 44)
+
+
+def scan(values, *, seed=0, blur=1.0, grain=8.0, fine=0.7):
+    """A scan of two phases: levels 60 and 160, blurred, with grain that is correlated over `fine`
+    voxels.
+    """
+    noise = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(values.shape), fine)
+    levels = 60 + 100 * ndimage.gaussian_filter(values.astype(float), blur)
+    return np.clip(np.rint(levels + grain * noise / noise.std()), 0, 255).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def bone():
+    return tb.crop(tb.sample("bone"), 48)
+
+
+@pytest.fixture(scope="module")
+def grey(bone):
+    return tb.Image(scan(bone.values), "grey", bone.spacing, bone.unit)
+
+
+@pytest.fixture(scope="module")
+def model(grey):
+    return tb.method("texture").fit(grey)
+
+
+@pytest.fixture(scope="module")
+def made(model):
+    return model.generate(64, seed=1)
+
+
+@pytest.fixture(scope="module")
+def colour(grey):
+    values = grey.values
+    tint = np.stack([values, 255 - values, 90 + values // 4], axis=-1)
+    return tb.Image(tint, "colour", grey.spacing, grey.unit)
+
+
+def spectrum(values, bands=8):
+    """Power of the middle cube of 48 voxels by frequency."""
+    low = [(side - 48) // 2 for side in values.shape]
+    part = values[tuple(slice(a, a + 48) for a in low)].astype(float)
+    for axis in range(3):
+        window = np.hanning(50)[1:-1].reshape([-1 if a == axis else 1 for a in range(3)])
+        part = (part - part.mean()) * window
+    squares = [np.fft.fftfreq(48) ** 2 for _ in range(3)]
+    frequency = np.sqrt(sum(np.ix_(*squares)))
+    place = np.minimum((frequency / 0.5 * bands).astype(int), bands)
+    power = np.bincount(place.ravel(), (np.abs(np.fft.fftn(part)) ** 2).ravel())
+    return power[:bands] / np.bincount(place.ravel())[:bands]
+
+
+def iso(values, level=110):
+    return tb.Image((np.asarray(values) > level).astype(np.uint8), "labels")
+
+
+def two_point_error(image, exemplar):
+    ours, own = (two_point(one, r_max=16)[1:] for one in (image, exemplar))
+    return np.linalg.norm(ours - own) / np.linalg.norm(own)
+
+
+def test_the_histogram_is_the_scans(grey, made):
+    shares = [np.bincount(one.values.ravel(), minlength=256) for one in (grey, made)]
+    ends = [np.cumsum(share) / share.sum() for share in shares]
+    assert np.abs(ends[0] - ends[1]).max() < 0.003
+
+
+def test_the_spectrum_is_the_scans(grey, made):
+    """The grain, which fills the last bands, and the blur, which empties those before."""
+    ratio = spectrum(made.values) / spectrum(grey.values)
+    assert np.all((ratio[2:] > 0.7) & (ratio[2:] < 1.4)), ratio
+
+
+def test_the_iso_surface_is_as_good_as_labels(bone, grey, model, made):
+    """That of the structure it was painted on, and thus as near to the exemplar's as labels are."""
+    labels = tb.method("texture").fit(iso(grey.values)).generate(64, seed=1)
+    exemplar = iso(grey.values)
+    assert two_point_error(iso(made.values), exemplar) <= 1.3 * two_point_error(labels, exemplar)
+    widths = [tb.measure.thickness(one) for one in (iso(made.values), labels)]
+    assert 1 / 1.2 < widths[0] / widths[1] < 1.2
+    structure, _ = model.structure.make(tb.Request(made.shape, seed=1))
+    smooth = ndimage.gaussian_filter(made.values.astype(float), 1.0)
+    low, high = float(grey.values.min()), float(grey.values.max())
+    level = low + (model.grey.threshold + 127) * (high - low) / 254
+    assert np.mean((smooth > level) == structure) > 0.95
+
+
+def test_no_grain_is_copied(grey, made):
+    """Grain of the result is found nowhere in the scan: neighbourhoods of 3 voxels in the dark
+    phase differ from all of the scan's more than copies would.
+    """
+
+    def windows(values):
+        cubes = np.lib.stride_tricks.sliding_window_view(values.astype(np.float32), (4, 4, 4))
+        cubes = cubes.reshape(-1, 64)
+        return cubes[cubes.max(axis=1) < 100]
+
+    theirs = windows(grey.values)[::3]
+    ours = windows(made.values)[::97][:200]
+    distances = ((ours[:, None] - theirs[None]) ** 2).mean(axis=-1).min(axis=1)
+    assert np.mean(distances < 4) < 0.01, "the grain has a variance of 64"
+
+
+def test_threads_files_and_interruptions_change_nothing(model, tmp_path, monkeypatch):
+    monkeypatch.setattr(memmap, "SMALLEST", 64)
+    monkeypatch.setattr(grey_levels, "_TILE", 16)
+    request = tb.Request(SHAPE, seed=3, periodic=(False, True, False))
+    with check_releases():
+        at_once, report = model.compute(request)
+    assert report["way"] == "structure, then grey values"
+    with tb.threads(2), memmap.map_large_arrays(tmp_path, memory=1 << 20, thickest=3):
+        values, _ = model.compute(request)
+        assert memmap.file_of(values) is not None
+        assert np.array_equal(values, at_once)
+        del values
+    assert not list(tmp_path.iterdir()), "a file stayed"
+
+    monkeypatch.setattr(grey_levels, "_TILE", 64)
+    monkeypatch.setattr(checkpoint, "EVERY", 0.0)
+    monkeypatch.setattr(checkpoint, "_SHARE", 0)
+
+    class StoppedError(Exception):
+        pass
+
+    def stop(label, done):
+        if label == "level 0" and done > 0:
+            raise StoppedError
+
+    with pytest.raises(StoppedError), listen(stop), checkpoint.kept_at(tmp_path / "x.part"):
+        model.compute(request)
+    with checkpoint.kept_at(tmp_path / "x.part"):
+        resumed, _ = model.compute(request)
+    assert np.array_equal(resumed, at_once), "neither the cut into tiles nor a stop shows"
+
+
+def test_a_periodic_axis_joins_without_a_seam(model):
+    values = model.generate((32, 32, 40), seed=2, periodic=(False, False, True)).values.astype(
+        float
+    )
+    steps = np.abs(np.diff(values, axis=2, append=values[:, :, :1])).mean(axis=(0, 1))
+    assert steps[-1] < 1.25 * steps[:-1].mean()
+
+
+def test_a_form_is_filled(model):
+    z, y, x = np.indices(SHAPE)
+    form = (z - 20) ** 2 + (y - 18) ** 2 + (x - 22) ** 2 < 16**2
+    values = model.generate(SHAPE, seed=2, mask=form).values
+    assert not values[~form].any() and np.all(values[form] > 0)
+
+
+def test_beside_fixed_voxels_patches_are_taken(model, grey):
+    known = np.zeros(SHAPE, bool)
+    known[:8] = True
+    values = np.zeros(SHAPE, np.uint8)
+    values[:8] = grey.values[:8, :36, :44]
+    fixed = tb.Image(values, "grey", grey.spacing, grey.unit)
+    made = model.generate(SHAPE, seed=2, fixed=fixed, known=known)
+    assert np.array_equal(made.values[known], values[known])
+    assert made.recipe.to_json()[-1]["report"]["way"] == "patches of the exemplar"
+
+
+def test_noise_alone_tells_no_structure():
+    noise = ndimage.gaussian_filter(np.random.default_rng(1).standard_normal((32, 32, 32)), 1.5)
+    image = tb.Image((128 + 400 * noise).clip(0, 255).astype(np.uint8), "grey")
+    lines = []
+    with listen(lambda line, done: lines.append(line)):
+        model = tb.method("texture").fit(image)
+    assert model.structure is None
+    assert any("tell no two phases" in line for line in lines)
+    plain = tb.method("texture", novelty=0.0).fit(image)
+    assert np.array_equal(model.generate(32).values, plain.generate(32).values)
+
+
+def test_novelty_0_is_the_former_way(grey):
+    model = tb.method("texture", novelty=0.0).fit(grey)
+    assert model.structure is None
+    assert "report" not in model.generate(24).recipe.to_json()[-1]
+
+
+def test_colours_agree_on_their_channels(colour):
+    made = tb.method("texture").fit(colour).generate(SHAPE, seed=1).values.astype(int)
+    assert made.shape == (*SHAPE, 3)
+    assert np.mean(np.abs(made[..., 0] + made[..., 1] - 255) <= 4) > 0.98
+    for channel in range(3):
+        ends = np.percentile(made[..., channel], [5, 50, 95])
+        assert np.allclose(ends, np.percentile(colour.values[..., channel], [5, 50, 95]), atol=3)
+
+
+def test_a_voxel_that_is_not_a_cube_is_smoothed_by_its_edges(bone):
+    """Known truth: a scan blurred by one unit along every axis has the same weights in voxels of
+    another shape.
+    """
+    values = bone.values.repeat(2, axis=0)[:48]
+    blurred = ndimage.gaussian_filter(60 + 100.0 * values, (2.0, 1.0, 1.0))
+    image = tb.Image(np.rint(blurred).astype(np.uint8), "grey", (1.0, 2.0, 2.0), "um")
+    field = blurred[None].astype(np.float32)
+    level = find_threshold([field])
+    structure = structure_of(field, level)
+    wide = grey_levels._fit_weights([field], [structure], (0.63, 1.26, 1.26))
+    even = grey_levels._fit_weights([field], [structure], (1.0, 1.0, 1.0))
+
+    def rest(weights, edges):
+        parts = grey_levels._gaussians(structure, edges)
+        return float((field[0] - grey_levels._expected(weights[0], parts)).std())
+
+    assert rest(wide, (0.63, 1.26, 1.26)) < rest(even, (1.0, 1.0, 1.0))
+    assert tb.method("texture").fit(image).structure is not None
+
+
+def bytes_at_peak(work):
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_the_forecasts_hold(model, grey, colour):
+    request = tb.Request((48, 48, 48), seed=1)
+    plan = model.plan(request)
+    arrays = plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
+    peak = bytes_at_peak(lambda: model.compute(request))
+    assert peak <= arrays <= 1.5 * peak
+    for exemplar in (grey, colour):
+        method = tb.method("texture")
+        plan = method.plan_fit(exemplar)
+        arrays = plan.peak - plan.memory["interpreter and kernels"]
+        peak = bytes_at_peak(lambda method=method, exemplar=exemplar: method.fit(exemplar))
+        assert peak <= arrays <= 1.5 * peak, exemplar.kind
