@@ -15,6 +15,7 @@ from trabecula.synth.shared.statistics.sliced import rotation, transport_neighbo
 from trabecula.synth.shared.statistics.slices import Transport, slice_target
 from trabecula.synth.shared.statistics.two_point import correlations_of
 from trabecula.synth.shared.statistics.two_point_steps import least_squares, misfit, two_point_step
+from trabecula.synth.texture import novel_layout
 
 OPEN, AROUND = (False, False, False), (True, True, True)
 HARD = 1e-3  # a soft step so narrow that the indicator is that of labels
@@ -290,3 +291,16 @@ def test_least_squares_are_numpys():
     root = np.sqrt(weights)
     wanted = np.linalg.lstsq((changes * root).T, -excess * root, rcond=None)[0]
     assert np.allclose(least_squares(changes, excess, weights), wanted, rtol=0.02, atol=0.02)
+
+
+def test_the_layout_is_on_the_level_of_the_structure():
+    """Cubes of n voxels in a chessboard have an interface every n voxels along each axis: the
+    length is n / 3, apart from the faces; from 6 voxels on the layout is on level 2.
+    """
+    for edge, level in [(2, 1), (12, 1), (18, 2)]:
+        cells = np.indices((72, 72, 72)) // edge
+        board = tb.Image((cells.sum(axis=0) % 2).astype(np.uint8), "labels")
+        assert novel_layout.structure_length([board]) == pytest.approx(71 / (3 * (72 / edge - 1)))
+        assert novel_layout.top_for([board], "structure") == level
+        assert novel_layout.top_for([board], "coarse") == 2
+    assert novel_layout.top_for([tb.crop(board, 24)], "structure") == 1
