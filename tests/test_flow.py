@@ -225,7 +225,9 @@ def test_a_target_field_is_found_again(tmp_path, monkeypatch):
         def generate(self, request):
             return tb.Image(request.target["porosity"] > 0.5, "labels")
 
-    monkeypatch.setattr("trabecula.pipeline.replay.method", lambda name, **settings: Method())
+    monkeypatch.setattr(
+        "trabecula.pipeline.replay.recorded_method", lambda name, settings: Method()
+    )
     np.save(tmp_path / "field.npy", np.linspace(0, 1, 27).reshape(3, 3, 3))
     field, exemplar = tb.read(tmp_path / "field.npy"), tb.sample("foam")
     values = (field.values > 0.5).astype(np.uint8)
