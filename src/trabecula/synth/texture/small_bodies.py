@@ -15,11 +15,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from trabecula.core.image import Image
 from trabecula.engine.chunking import Box
 from trabecula.engine.memory import Array, Stage
+from trabecula.measure.labelling import label_components
 from trabecula.measure.runs import RUN_BYTES, Runs, runs_of
 from trabecula.synth.shared.content.fields import FULL, UNIT
 
@@ -100,7 +100,7 @@ def _bodies_of(values: np.ndarray, label: int, volume: int) -> Iterator[SmallBod
     for place, box, density in _small_ones(found, values.shape, volume):
         low, high = box[:3], box[3:]
         inside = np.pad(found.labels(_sides(low, high)) == place, _APART)
-        near = ndimage.binary_dilation(inside, iterations=_APART)
+        near = _dilate(inside, _APART)
         around = padded[tuple(slice(a, b + 2 * _APART) for a, b in zip(low, high, strict=True))]
         counts = np.bincount(around[near & ~inside])
         counts[label:][:1] = 0
@@ -129,7 +129,7 @@ def _small_ones(
     small = np.all(extents * _PART <= sides.min(), axis=1)
     for place, box, share in zip(places[small], boxes[small], shares[small], strict=True):
         body = found.labels(_sides(box[:3], box[3:])) == place
-        if np.array_equal(ndimage.binary_fill_holes(body), body):
+        if len(label_components(~np.pad(body, 1))[1]) == 1:  # all that is around it is joined
             yield int(place), box, 1 / (float(share) * volume)
 
 
@@ -137,6 +137,18 @@ def _sides(low: np.ndarray, high: np.ndarray) -> Box:
     """Return first voxels and ends as a box."""
     (z, y, x), (far_z, far_y, far_x) = low.tolist(), high.tolist()
     return (z, far_z), (y, far_y), (x, far_x)
+
+
+def _dilate(inside: np.ndarray, steps: int) -> np.ndarray:
+    """Mark what is at most so many steps across faces from (z, y, x) bool, too."""
+    found = inside.copy()
+    for _ in range(steps):
+        before = found.copy()
+        for axis in range(3):
+            near, far = np.moveaxis(before, axis, 0), np.moveaxis(found, axis, 0)
+            far[1:] |= near[:-1]
+            far[:-1] |= near[1:]
+    return found
 
 
 def _size_class(voxels: int) -> int:
@@ -260,7 +272,7 @@ class _Canvas:
         sides = _sides(low, high)
         inside = components.labels(sides) == place
         window = tuple(slice(a, b) for a, b in sides)
-        around = self.values[window][ndimage.binary_dilation(inside) & ~inside]
+        around = self.values[window][_dilate(inside, 1) & ~inside]
         counts = np.bincount(around[around != label], minlength=1)
         if counts.any():
             self._write(np.nonzero(inside), low, int(np.argmax(counts)))
