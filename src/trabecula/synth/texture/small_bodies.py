@@ -32,7 +32,7 @@ _LESS = 0.05  # of its surroundings that may be another phase than in the exempl
 _CHANGE = 0.01  # of a phase: by how much more may be taken away than is placed
 _RUN = 8  # voxels from one run of a phase to the next, at least, in the mean
 _TRIES = 100  # places that are tried for a body
-_TOGETHER, _APART_BY = 26, 6  # neighbours
+_CORNERS, _FACES = 26, 6  # neighbours: what touches at a corner, or at a face
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def learn_small_bodies(exemplars: Sequence[Image], label: int) -> SmallBodies:
     volume = sum(image.values.size for image in exemplars)
     density: dict[int, float] = {}
     for image in exemplars:
-        found = _components_of(image.values, label, _APART_BY)
+        found = _components_of(image.values, label, _FACES)
         for place, _, each in _small_ones(found, image.shape, volume):
             kind = _size_class(int(found.sizes[place - 1]))
             density[kind] = density.get(kind, 0.0) + each
@@ -95,13 +95,13 @@ def learn_small_bodies(exemplars: Sequence[Image], label: int) -> SmallBodies:
 
 
 def _bodies_of(values: np.ndarray, label: int, volume: int) -> Iterator[SmallBody]:
-    found = _components_of(values, label, _TOGETHER)
+    found = _components_of(values, label, _CORNERS)
     padded = np.pad(values, _APART, mode="edge")
     for place, box, density in _small_ones(found, values.shape, volume):
-        low, high = box[:3], box[3:]
-        inside = np.pad(found.labels(_sides(low, high)) == place, _APART)
+        sides = _sides(box)
+        inside = np.pad(found.labels(sides) == place, _APART)
         near = _dilate(inside, _APART)
-        around = padded[tuple(slice(a, b + 2 * _APART) for a, b in zip(low, high, strict=True))]
+        around = padded[tuple(slice(a, b + 2 * _APART) for a, b in sides)]
         counts = np.bincount(around[near & ~inside])
         counts[label:][:1] = 0
         share = float(counts.max() / max(1, np.count_nonzero(near & ~inside)))
@@ -128,15 +128,14 @@ def _small_ones(
     shares = np.prod(1 - (extents + 1) / sides, axis=1)
     small = np.all(extents * _PART <= sides.min(), axis=1)
     for place, box, share in zip(places[small], boxes[small], shares[small], strict=True):
-        body = found.labels(_sides(box[:3], box[3:])) == place
+        body = found.labels(_sides(box)) == place
         if len(label_components(~np.pad(body, 1))[1]) == 1:  # all that is around it is joined
             yield int(place), box, 1 / (float(share) * volume)
 
 
-def _sides(low: np.ndarray, high: np.ndarray) -> Box:
-    """Return first voxels and ends as a box."""
-    (z, y, x), (far_z, far_y, far_x) = low.tolist(), high.tolist()
-    return (z, far_z), (y, far_y), (x, far_x)
+def _sides(box: np.ndarray) -> Box:
+    """Return first voxels and ends (6,) as a box."""
+    return tuple(zip(box[:3].tolist(), box[3:].tolist(), strict=True))
 
 
 def _dilate(inside: np.ndarray, steps: int) -> np.ndarray:
@@ -198,10 +197,10 @@ def settle_small_bodies(
         for body in bodies.placed
         if (max(body.inside.shape) - 2 * _APART) * _PART <= min(values.shape)
     ]
-    together, apart = (_components_of(values, label, n) for n in (_TOGETHER, _APART_BY))
+    found = _by_size(_components_of(values, label, _CORNERS))
+    before = _components_of(values, label, _FACES)
     added = 0  # voxels
     report = {"wanted": 0.0, "found": 0.0, "removed": 0, "added": 0}
-    found = _by_size(together)
     for kind, sources in _grouped(fitting).items():
         odds = np.cumsum([body.density for body in sources])
         wanted, here = odds[-1] * volume, sum(weight for *_, weight in found.get(kind, []))
@@ -214,15 +213,15 @@ def settle_small_bodies(
                 report["added"] += 1
                 added += body.voxels
     excess: list[tuple[int, np.ndarray, float]] = []
-    for kind, those in sorted(_by_size(apart).items()):
+    for kind, those in sorted(_by_size(before).items()):
         share = bodies.density.get(kind, 0.0) * volume / sum(weight for *_, weight in those)
         fewer = int(np.floor(len(those) * max(0.0, 1 - share) + draw.random()))
         excess += [those[index] for index in draw.permutation(len(those))[:fewer]]
-    most = added + _CHANGE * int(apart.sizes.sum())
+    most = added + _CHANGE * int(before.sizes.sum())
     for index in draw.permutation(len(excess)):
         place, box, _ = excess[index]
-        if (most := most - int(apart.sizes[place - 1])) >= 0:
-            canvas.remove(apart, place, box, label)
+        if (most := most - int(before.sizes[place - 1])) >= 0:
+            canvas.remove(before, place, box, label)
             report["removed"] += 1
     return {name: round(count) for name, count in report.items()}
 
@@ -268,14 +267,13 @@ class _Canvas:
     def remove(self, components: Runs, place: int, box: np.ndarray, label: int) -> None:
         """Give a component to the commonest label around it."""
         low = np.maximum(box[:3] - 1, 0)
-        high = np.minimum(box[3:] + 1, self.values.shape)
-        sides = _sides(low, high)
+        sides = _sides(np.append(low, np.minimum(box[3:] + 1, self.values.shape)))
         inside = components.labels(sides) == place
         window = tuple(slice(a, b) for a, b in sides)
         around = self.values[window][_dilate(inside, 1) & ~inside]
         counts = np.bincount(around[around != label], minlength=1)
         if counts.any():
-            self._write(np.nonzero(inside), low, int(np.argmax(counts)))
+            self._write(np.argwhere(inside), low, int(np.argmax(counts)))
 
     def place(self, body: SmallBody, label: int, draw: np.random.Generator) -> bool:
         """Place a body where there is room for it; return whether there was."""
@@ -293,7 +291,7 @@ class _Canvas:
             around = there[shell[kept]]
             if np.count_nonzero(around == body.host) < (body.hosted - _LESS) * len(around):
                 continue
-            self._write(np.nonzero(inside), corner, label)
+            self._write(np.argwhere(inside), corner, label)
             return True
         return False
 
@@ -308,9 +306,9 @@ class _Canvas:
         kept = np.all((at >= 0) & (at < sides), axis=1)
         return tuple(at[kept].T), kept
 
-    def _write(self, voxels: tuple[np.ndarray, ...], corner: np.ndarray, label: int) -> None:
-        """Give voxels of a window to a label, far inside its phase."""
-        at, _ = self._voxels(np.stack(voxels, axis=1), corner)
+    def _write(self, voxels: np.ndarray, corner: np.ndarray, label: int) -> None:
+        """Give voxels (n, 3) of a window to a label, far inside its phase."""
+        at, _ = self._voxels(voxels, corner)
         self.values[at] = label
         deep = FULL * UNIT
         channels = self.present[1:] if len(self.votes) == 1 else self.present
