@@ -304,3 +304,9 @@ def test_the_layout_is_on_the_level_of_the_structure():
         assert novel_layout.top_for([board], "structure") == level
         assert novel_layout.top_for([board], "coarse") == 2
     assert novel_layout.top_for([tb.crop(board, 24)], "structure") == 1
+
+
+def test_exemplars_without_an_interface_are_laid_out_on_the_coarsest_level():
+    blocks = [tb.Image(np.full((48, 48, 48), label, np.uint8), "labels") for label in (0, 1)]
+    assert novel_layout.structure_length(blocks) == np.inf
+    assert novel_layout.top_for(blocks, "structure") == 2

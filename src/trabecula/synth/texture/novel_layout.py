@@ -10,6 +10,7 @@ not to repeat is cut to its length.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -101,22 +102,23 @@ def passes(novelty: float, top: int, layout: str) -> tuple[Pass, ...]:
     """
     moved = round(_MOVED * (1 - novelty))
     wide = moved >= _WIDE_FROM
-    coarser: tuple[Pass, ...] = ()
+    width = WIDTH if wide else 5  # of the first pass on the finest level
+    coarser: list[Pass] = []
     if top == COARSEST:
-        coarser = (Pass(2, 8, 1, moved, 2), Pass(1, 8 if wide else WIDTH, 1, 4, 4))
+        if moved:
+            coarser.append(Pass(2, 8, 1, moved, 2))
+        coarser.append(Pass(1, 8 if wide else WIDTH, 1, 4, 4))
     elif layout == "structure":
-        coarser = (Pass(1, 8, 1, 4 + moved, 2),)
-    narrow = WIDTH if wide or (top == 1 and coarser) else 5
-    return (
-        *(part for part in coarser if part.rounds),
-        Pass(0, narrow, 2, 2, 2, beyond=1.7),
-        Pass(0, WIDTH, 2, 1, 1, beyond=0.0),
-    )
+        coarser.append(Pass(1, 8, 1, 4 + moved, 2))
+        width = WIDTH
+    finest = (Pass(0, width, 2, 2, 2, beyond=1.7), Pass(0, WIDTH, 2, 1, 1, beyond=0.0))
+    return (*coarser, *finest)
 
 
 def structure_length(exemplars: Sequence[Image]) -> float:
     """Return 4 phi (1 - phi) / s in voxels, with the share phi of the first phase and the surface s
     between phases per volume: the mean of the mean chords of two phases, weighted crosswise.
+    Infinite without a surface, as of several exemplars of one phase each.
     """
     first = min(int(image.values.min()) for image in exemplars)
     size = sum(image.values.size for image in exemplars)
@@ -126,7 +128,7 @@ def structure_length(exemplars: Sequence[Image]) -> float:
         for image in exemplars
         for axis in range(image.ndim)
     )
-    return 4 * share * (1 - share) / surface
+    return 4 * share * (1 - share) / surface if surface else math.inf
 
 
 def top_for(exemplars: Sequence[Image], layout: str) -> int:
