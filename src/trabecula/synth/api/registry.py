@@ -76,6 +76,14 @@ def method(name: str, /, *, preset: str | None = None, **settings: Any) -> Metho
     return method_class(known[name]).configure(preset=preset, **settings)
 
 
+def recorded_method(name: str, settings: Mapping[str, Any]) -> Method:
+    """Return a method with the settings of a recipe or a model, completed where these are older
+    than some setting (`Method.config_type`).
+    """
+    made = method(name)
+    return made.configure(**getattr(made.config_type, "recorded", dict)(settings))
+
+
 def method_class(capabilities: Capabilities) -> type[Method]:
     """Import the class of a method.
 
@@ -154,13 +162,3 @@ def _place(point: EntryPoint) -> str:
 def _notify_once(text: str) -> None:
     """Report a text, once a process."""
     notify(text)
-
-
-def recorded_method(name: str, settings: Mapping[str, Any]) -> Method:
-    """Return a method with the settings of a recipe or a model.
-
-    Those that came later are as they were before: where the type of the settings has a class method
-    `recorded(settings)`, it completes them.
-    """
-    made = method(name)
-    return made.configure(**getattr(made.config_type, "recorded", dict)(settings))
