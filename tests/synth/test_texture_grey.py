@@ -95,10 +95,10 @@ def test_the_iso_surface_is_as_good_as_labels(bone, grey, model, made):
     assert two_point_error(iso(made.values), exemplar) <= 1.3 * two_point_error(labels, exemplar)
     widths = [tb.measure.thickness(one) for one in (iso(made.values), labels)]
     assert 1 / 1.2 < widths[0] / widths[1] < 1.2
-    structure, _ = model.structure.make(tb.Request(made.shape, seed=1))
+    structure, _ = model.painted.structure.make(tb.Request(made.shape, seed=1))
     smooth = ndimage.gaussian_filter(made.values.astype(float), 1.0)
     low, high = float(grey.values.min()), float(grey.values.max())
-    level = low + (model.grey.threshold + 127) * (high - low) / 254
+    level = low + (model.painted.grey.threshold + 127) * (high - low) / 254
     assert np.mean((smooth > level) == structure) > 0.95
 
 
@@ -182,7 +182,7 @@ def test_noise_alone_tells_no_structure():
     lines = []
     with listen(lambda line, done: lines.append(line)):
         model = tb.method("texture").fit(image)
-    assert model.structure is None
+    assert model.painted is None
     assert any("tell no two phases" in line for line in lines)
     plain = tb.method("texture", novelty=0.0).fit(image)
     assert np.array_equal(model.generate(32).values, plain.generate(32).values)
@@ -190,7 +190,7 @@ def test_noise_alone_tells_no_structure():
 
 def test_novelty_0_is_the_former_way(grey):
     model = tb.method("texture", novelty=0.0).fit(grey)
-    assert model.structure is None
+    assert model.painted is None
     assert "report" not in model.generate(24).recipe.to_json()[-1]
 
 
@@ -221,7 +221,7 @@ def test_a_voxel_that_is_not_a_cube_is_smoothed_by_its_edges(bone):
         return float((field[0] - grey_levels._expected(weights[0], parts)).std())
 
     assert rest(wide, (0.63, 1.26, 1.26)) < rest(even, (1.0, 1.0, 1.0))
-    assert tb.method("texture").fit(image).structure is not None
+    assert tb.method("texture").fit(image).painted is not None
 
 
 def bytes_at_peak(work):

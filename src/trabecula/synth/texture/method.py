@@ -11,7 +11,7 @@ novelty are painted on a structure that is made as labels (`grey_levels`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
@@ -70,7 +70,7 @@ _SETTLED = 3  # times that small bodies are counted and settled
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _EACH, _CHANNEL = 52, 14  # bytes of a voxel, and of its channels, while grey values are learnt
 _STRUCTURE = ("dark", "bright")
-_STRUCTURED = "structure, then grey values"
+_PAINTED, _PATCHES = "structure, then grey values", "patches of the exemplar"
 _NOT_TOLD = (
     "the grey values tell no two phases: they are made from patches of the exemplar (novelty 0)"
 )
@@ -146,10 +146,9 @@ class TextureModel(Model):
         fields = [self.content.fields(exemplar) for exemplar in exemplars]
         smallest = min(min(exemplar.shape) for exemplar in exemplars)
         self.top = novel_layout.top_for(exemplars, config.layout) if self.novelty else 0
-        self.structure: TextureModel | None = None
-        self.grey: GreyLevels | None = None
+        self.painted: Painted | None = None
         if self.top and not self.content.distances:
-            self._learn_structure(fields)
+            self.painted = self._learn_painted(fields)
             self.top = 0
         self.stacks, self._own = [], []
         for index in track(
@@ -171,7 +170,7 @@ class TextureModel(Model):
         self.targets = self._targets() if any(config.corrections) and self.content.distances else []
         if self.top:
             self._learn_new()
-        elif self.structure is None:
+        elif self.painted is None:
             self.learnt = self._levels()
 
     @property
@@ -215,12 +214,14 @@ class TextureModel(Model):
         counted = self.content.present if self.config.layout == "structure" else ()
         self.small = {label: learn_small_bodies(self.exemplars, label) for label in counted}
 
-    def _learn_structure(self, fields: Sequence[np.ndarray]) -> None:
-        """Learn the structure of grey values or colours as labels, and the levels on it."""
+    def _learn_painted(self, fields: Sequence[np.ndarray]) -> Painted | None:
+        """Learn the structure of grey values or colours as labels, and the levels on it; None where
+        they tell no two phases.
+        """
         threshold = find_threshold(fields)
         if threshold is None:
             notify(_NOT_TOLD)
-            return
+            return None
         structures = [structure_of(field, threshold) for field in fields]
         labels = [
             with_values(
@@ -228,13 +229,10 @@ class TextureModel(Model):
             )
             for exemplar, structure in zip(self.exemplars, structures, strict=True)
         ]
-        self.structure = TextureModel(self.config, labels)
-        self.grey = learn_levels(
-            fields,
-            structures,
-            threshold,
-            isotropic_scale(self.exemplars[0].spacing),
-            self._match_values,
+        edges = isotropic_scale(self.exemplars[0].spacing)
+        return Painted(
+            TextureModel(self.config, labels),
+            learn_levels(fields, structures, threshold, edges, self._match_values),
         )
 
     def _match_values(self, votes: np.ndarray) -> np.ndarray:
@@ -252,14 +250,13 @@ class TextureModel(Model):
 
     def make(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
         report: dict[str, Any] = {}
-        if self.structure is not None and self.grey is not None and self._makes_new(request):
-            structure, made = self.structure.make(replace(request, mask=None))
-            votes = self.grey.paint(structure, request)
-            return self.content.to_values(votes, request), {"way": _STRUCTURED, **made}
-        if self._makes_new(request):
-            votes = fit_to(novel_layout.make_novel(self._novel_rounds(request)), request.shape)
-            if self.small:
-                report["small_bodies"] = self._settle_small_bodies(votes, request)
+        new = self._makes_new(request)
+        if new and self.painted is not None:
+            structure, made = self.painted.structure.make(replace(request, mask=None))
+            votes = self.painted.grey.paint(structure, request)
+            return self.content.to_values(votes, request), {"way": _PAINTED, **made}
+        if new:
+            votes = novel_layout.make_novel(self._novel_rounds(request))
         else:
             used = levels_for(request.shape, len(self.levels), width=max(self.config.neighbourhood))
             # no array is held by a name here: the run frees what it no longer needs
@@ -274,13 +271,15 @@ class TextureModel(Model):
                     fractions=self._fractions(request, used),
                 )
             )
-            votes = fit_to(votes, request.shape)
             if energies:
                 report["levels"] = energies
+        votes = fit_to(votes, request.shape)
+        if new and self.small:
+            report["small_bodies"] = self._settle_small_bodies(votes, request)
         if request.target and isinstance(self.content, Labels):
             request = average_target(request)
         if self.novelty and not self.content.distances:
-            report["way"] = "patches of the exemplar"
+            report["way"] = _PATCHES
         return self.content.to_values(votes, request), report
 
     def _settle_small_bodies(self, votes: np.ndarray, request: Request) -> dict[str, Any]:
@@ -321,7 +320,7 @@ class TextureModel(Model):
         """Return whether there is room to lay out something new; beside known voxels neighbourhoods
         have to fit them.
         """
-        top = self.top if self.structure is None else self.structure.top
+        top = self.top if self.painted is None else self.painted.structure.top
         return (
             top > 0
             and request.fixed is None
@@ -355,23 +354,26 @@ class TextureModel(Model):
         finest level; of known voxels before it, and of the result after it.
         """
         distances = self.content.distances
-        if self.structure is not None and self.grey is not None and self._makes_new(request):
+        new = self._makes_new(request)
+        if new and self.painted is not None:
+            structure, grey = self.painted.structure, self.painted.grey
             return (
-                *self.structure._stages(replace(request, mask=None), mapped=mapped),
-                *self.grey.stages(request),
+                *structure._stages(replace(request, mask=None), mapped=mapped),
+                *grey.stages(request),
                 *value_stages(
                     request,
                     request.shape,
-                    self.grey.channels,
+                    grey.channels,
                     nbytes=self.output_bytes(request),
                     distances=False,
                 ),
             )
-        if self._makes_new(request):
+        if new:
             rounds = self._novel_rounds(request)
             finest, region = self.aims[0].candidates, rounds.regions[0]
-            counted = body_stages(request.shape, len(finest[-1].stack.field))
-            stages = (*rounds.stages(mapped=mapped), *(counted if self.small else ()))
+            stages = rounds.stages(mapped=mapped)
+            if self.small:
+                stages += body_stages(request.shape, len(finest[-1].stack.field))
         else:
             region, finest = Region(request.shape, request.periodic), self.levels[0]
             target = target_of(0, request, self.config, self.targets)
@@ -407,10 +409,10 @@ class TextureModel(Model):
     def _fixed(self) -> dict[str, int]:
         """Return the bytes that do not depend on the request."""
         exact = self.config.search == "exact"
-        if self.structure is not None and self.grey is not None and self.learnt is None:
-            fixed = self.structure._fixed()
+        if self.painted is not None and self.learnt is None:
+            fixed = self.painted.structure._fixed()
             fields = sum(stack.field.nbytes for stack in self.stacks)
-            return fixed | {"exemplar": fixed["exemplar"] + fields + self.grey.nbytes}
+            return fixed | {"exemplar": fixed["exemplar"] + fields + self.painted.grey.nbytes}
         kept = [c for aim in self.aims for c in aim.candidates] if self.top else []
         kept += [c for level in self.learnt or [] for c in level]
         searched = 3 if exact else 1  # prepared for it, in another order
@@ -418,6 +420,16 @@ class TextureModel(Model):
         held = sum(searched * c.features.nbytes + 9 * c.allowed.nbytes for c in kept)
         usage = usage_bytes(kept, exact=exact)
         return {"interpreter and kernels": _PROCESS, "exemplar": fields + held} | usage
+
+
+@dataclass(frozen=True)
+class Painted:
+    """What grey values or colours are made of: the model of their structure as labels, and the
+    levels on it.
+    """
+
+    structure: TextureModel
+    grey: GreyLevels
 
 
 def _has_room(mask: np.ndarray, width: int) -> bool:
