@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 import trabecula as tb
-from common import SCANS, busy, peak, table, timed, unit
+from common import SCANS, busy, table, timed, unit
 from trabecula.mesh.voxels import fit_mesh
+from trabecula.testing.peak import peak_bytes
 
 BUBBLES = 7000
 PAPER = {128: (14.69, 34.61, "~75"), 256: (38.83, 155.99, "~25"), 384: (85.82, 356.35, "~33")}
@@ -49,7 +50,7 @@ def bubbles_table() -> None:
             _best(_model(side, flow="roll", randomness=0.3), side, mask=mask),
         )
         half = _best(_model(side, porosity=0.5), side)
-        most = peak(lambda m=model, s=side: grown(m, s)) / side**3
+        most = peak_bytes(lambda m=model, s=side: grown(m, s)) / side**3
         cells = (loading, plain, flow, half, loading + plain)
         row(
             f"{side}^3", *(f"{cell:.2f}" for cell in cells), f"{most:.1f}", f"{load} + {main}", held

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import time
-import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -42,16 +41,6 @@ def timed(
 def busy(job: Callable[[], Any]) -> tuple[float, Any]:
     """Return the processor seconds of a job, and its result."""
     return timed(job, clock=time.process_time)
-
-
-def peak(job: Callable[[], Any]) -> int:
-    """Bytes that the job held at most, its result among them, beyond what was held before."""
-    tracemalloc.start()
-    try:
-        job()
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
 
 
 def tell(*cells: object) -> None:

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 import trabecula as tb
-from common import busy, peak, pictures, table
+from common import busy, pictures, table
 from descriptors import scans
 from graded_lattice import PERIOD, lattice, reference
 from trabecula import fields
+from trabecula.testing.peak import peak_bytes
 from trabecula.view.slices import montage
 
 PATCH, OVERLAP = 14, 4
@@ -341,7 +342,7 @@ def graded_speed() -> None:
         taken = []
         for part in (small, large):
             asked = tb.Request(part, seed=1, target={"volume_fraction": (low + high) / 2})
-            taken.append(peak(lambda model=model, asked=asked: model.generate(asked)))
+            taken.append(peak_bytes(lambda model=model, asked=asked: model.generate(asked)))
         more = (taken[1] - taken[0]) / (np.prod(large) - np.prod(small))
         row(name, f"{seconds:.2f}", f"{1000 * seconds / places:.2f}", f"{more:.1f}")
 

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 import trabecula as tb
-from common import busy, peak, table, unit
+from common import busy, table, unit
 from trabecula.synth.noise.pattern import trial_level
+from trabecula.testing.peak import peak_bytes
 
 POROSITY = 0.6
 LENGTH = 10.0
@@ -73,7 +74,7 @@ def _cost(fit: Any, model: Any, base: float) -> tuple[str, ...]:
     trial_level.cache_clear()
     learn = busy(fit)[0]
     make = min(busy(lambda: model.generate(256, seed=0))[0] for _ in range(2))
-    held = peak(lambda: model.generate(256, seed=0)) / 256**3 - 1
+    held = peak_bytes(lambda: model.generate(256, seed=0)) / 256**3 - 1
     return f"{learn:.2f}", f"{make:.2f}", f"{make / base:.0f}", f"{held:.1f}"
 
 

@@ -8,10 +8,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import trabecula as tb
-from common import SCANS, busy, peak, table, timed, unit
+from common import SCANS, busy, table, timed, unit
 from descriptors import LABELS
 from stages import show, watched
 from texture import fitted, presets
+from trabecula.testing.peak import peak_bytes
 
 
 def speed() -> None:
@@ -68,7 +69,7 @@ def _measured(
     with tb.threads(2):
         both = min(timed(lambda: model.generate(side, seed=0))[0] for _ in range(2))
     speedup = min(wall for _, wall, _ in runs) / both
-    beyond = peak(lambda: model.generate(side, seed=0)) / side**3 - 1
+    beyond = peak_bytes(lambda: model.generate(side, seed=0)) / side**3 - 1
     cells = [
         f"{fit:.2f}",
         f"{make:.2f}",
@@ -92,7 +93,7 @@ def sizes() -> None:
     for side in (60, 120, 180):
         request = tb.Request(side, seed=0)
         seconds, _ = busy(lambda r=request: model.generate(r))
-        held = peak(lambda r=request: model.generate(r))
+        held = peak_bytes(lambda r=request: model.generate(r))
         plan = model.plan(request).memory
         forecast = plan["output"] + plan["scratch"]
         voxels = side**3

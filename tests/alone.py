@@ -1,4 +1,6 @@
-"""Functions of test modules in their own process: counts of allocations see what ran before."""
+"""Functions of test modules in a process of their own: counts of allocations see what ran before,
+and globals that they change stay changed.
+"""
 
 import json
 import subprocess

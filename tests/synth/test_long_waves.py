@@ -3,7 +3,6 @@ exemplar.
 """
 
 import pickle
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -24,6 +23,7 @@ from trabecula.synth.shared.statistics.long_waves import (
 from trabecula.synth.shared.statistics.pairs import Pairs
 from trabecula.synth.shared.statistics.two_point import correlations_of
 from trabecula.synth.shared.statistics.two_point_steps import two_point_step
+from trabecula.testing.peak import peak_bytes
 
 AROUND = (True, True, True)
 SOFTNESS = 50.0
@@ -147,10 +147,7 @@ def test_memory_is_what_was_forecast():
     field = smooth((88, 80, 84), 2)
     votes, matched, target = votes_of(field), match(field), spread_of(EVEN)
     adjust_long_waves(votes.copy(), target, matched)
-    tracemalloc.start()
-    adjust_long_waves(votes, target, matched)
-    most = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
+    most = peak_bytes(lambda: adjust_long_waves(votes, target, matched))
     forecast = max(stage.peak for stage in wave_stages(field.shape))
     tables = 3 << 19  # counts of ranks, and what they are mapped to
     assert forecast / 1.5 < most < forecast + tables

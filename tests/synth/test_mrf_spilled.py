@@ -4,7 +4,6 @@ size in memory.
 
 import gc
 import pickle
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ from trabecula.core.request import Request
 from trabecula.engine import memmap, parallel
 from trabecula.engine.cluster import ReferencedFiles
 from trabecula.synth.mrf import site_update
+from trabecula.testing.peak import peak_bytes
 
 SHAPE = (11, 14, 13)
 LARGE = {"_FEW": 1, "_MANY": 0, "_SMALL": 0}
@@ -149,7 +149,7 @@ def test_densities_may_come_from_other_processes(heuristic, pictures, tmp_path, 
 
 def peaks_of(kind, masked, depths, folder):
     """Return the traced peak of runs of some depths, after another run, and what was forecast for
-    tables and a slab.
+    tables and a slab. Globals of `mrf` are changed: for a process of its own.
     """
     for name, value in LARGE.items():
         setattr(site_update, name, value)
@@ -162,10 +162,7 @@ def peaks_of(kind, masked, depths, folder):
         request = Request((depth, 30, 34), seed=1, **form)
         gc.collect()
         with tb.threads(1), memmap.map_large_arrays(Path(folder), memory=1 << 16):
-            tracemalloc.start()
-            model.make(request)
-            peaks.append(tracemalloc.get_traced_memory()[1])
-            tracemalloc.stop()
+            peaks.append(peak_bytes(lambda request=request: model.make(request)))
         with tb.threads(1):
             plan = model.resident_memory(request)
         assert set(plan) == {"interpreter and kernels", "exemplar", "tables", "slab"}

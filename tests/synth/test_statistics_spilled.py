@@ -1,7 +1,6 @@
 """The same in memory and with arrays in scratch files, cut into thin slabs; and what both take."""
 
 import pickle
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -32,6 +31,7 @@ from trabecula.synth.sliced.method import remove_specks
 from trabecula.synth.sliced.run import regions_around_known
 from trabecula.synth.sliced.steps import distance_stages, distance_step, slope
 from trabecula.synth.texture import novel_layout
+from trabecula.testing.peak import peak_bytes
 
 OPEN, AROUND, MIXED = (False, False, False), (True, True, True), (True, False, True)
 
@@ -211,11 +211,8 @@ def test_the_forecast_of_a_step_holds(periodic):
     field = smooth((64, 60, 72), 4)
     target = correlations_of([smooth((32, 32, 32), 5)], softness=60, r_max=10)
     two_point_step(field, target, periodic=periodic)
-    tracemalloc.start()
     with tb.threads(1):
-        two_point_step(field, target, periodic=periodic)
-    peak = tracemalloc.get_traced_memory()[1] - 2 * field.size
-    tracemalloc.stop()
+        peak = peak_bytes(lambda: two_point_step(field, target, periodic=periodic)) - 2 * field.size
     forecast = max(stage.peak for stage in step_stages(field.shape[1:], target, periodic))
     assert peak <= forecast <= 1.3 * peak
 
@@ -263,11 +260,7 @@ def test_what_stays_in_memory_is_forecast(run, forecast, tmp_path):
     """
     with tb.threads(1), memmap.map_large_arrays(tmp_path, memory=1 << 20):
         run()
-        tracemalloc.start()
-        run()
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        assert peak <= forecast()
+        assert peak_bytes(run) <= forecast()
 
 
 SHAPE = (32, 32, 34)

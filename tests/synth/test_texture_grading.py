@@ -1,7 +1,5 @@
 """`texture` with a target: dense here and open there."""
 
-import tracemalloc
-
 import numpy as np
 import pytest
 
@@ -14,6 +12,7 @@ from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.texture.graded import FractionTarget, carry_over, settle_fractions
 from trabecula.synth.texture.method import Texture
+from trabecula.testing.peak import peak_bytes
 
 SHAPE = (72, 36, 36)
 
@@ -174,10 +173,7 @@ def test_the_forecast_of_memory_holds(model):
     plan = model.plan(request)
     arrays = plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
     model.generate(24, seed=1, target={"porosity": 0.8})  # so that loading kernels is not counted
-    tracemalloc.start()
-    model.generate(request)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
+    peak = peak_bytes(lambda: model.generate(request))
     assert peak <= arrays <= 1.6 * peak
 
 

@@ -1,7 +1,5 @@
 """`texture` of scans: the structure is made as labels, then grey values or colours on it."""
 
-import tracemalloc
-
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -13,6 +11,7 @@ from trabecula.engine.memory import check_releases
 from trabecula.measure.correlation import two_point
 from trabecula.synth.texture import grey_levels
 from trabecula.synth.texture.grey_levels import find_threshold, structure_of
+from trabecula.testing.peak import peak_bytes
 
 SHAPE = (40, 36, 44)
 
@@ -224,24 +223,15 @@ def test_a_voxel_that_is_not_a_cube_is_smoothed_by_its_edges(bone):
     assert tb.method("texture").fit(image).painted is not None
 
 
-def bytes_at_peak(work):
-    tracemalloc.start()
-    try:
-        work()
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-
-
 def test_the_forecasts_hold(model, grey, colour):
     request = tb.Request((48, 48, 48), seed=1)
     plan = model.plan(request)
     arrays = plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
-    peak = bytes_at_peak(lambda: model.compute(request))
+    peak = peak_bytes(lambda: model.compute(request))
     assert peak <= arrays <= 1.5 * peak
     for exemplar in (grey, colour):
         method = tb.method("texture")
         plan = method.plan_fit(exemplar)
         arrays = plan.peak - plan.memory["interpreter and kernels"]
-        peak = bytes_at_peak(lambda method=method, exemplar=exemplar: method.fit(exemplar))
+        peak = peak_bytes(lambda method=method, exemplar=exemplar: method.fit(exemplar))
         assert peak <= arrays <= 1.5 * peak, exemplar.kind

@@ -10,7 +10,6 @@ import platform
 import subprocess
 import sys
 import tempfile
-import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from copy import copy
@@ -57,6 +56,7 @@ from trabecula.testing.method_case import (
     raises,
     same,
 )
+from trabecula.testing.peak import peak_bytes
 
 METHOD_CHECKS: dict[str, Check] = {}
 """Every check of a method by its name."""
@@ -533,14 +533,12 @@ def _check_refused_parts(case: MethodCase) -> None:
 def _check_budget(case: MethodCase) -> None:
     """Check that a run over its budget is refused before it starts."""
     _ = case.model
-    tracemalloc.start()
-    try:
+
+    def refused() -> None:
         with raises(MemoryBudgetError, "GiB|TiB", "4000^3 voxels should not fit into 1 GiB"):
             case.model.generate((4000, 4000, 4000), seed=1, memory=GIB)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert peak < 1 << 20, "memory was taken before the budget was checked"
+
+    assert peak_bytes(refused) < 1 << 20, "memory was taken before the budget was checked"
 
 
 _OUTSIDE = ("interpreter and kernels", "exemplar", "network")  # what tracemalloc does not see
@@ -560,7 +558,7 @@ def _check_memory(case: MethodCase) -> None:
     plan = model.plan(request)
     arrays = plan.peak - sum(plan.memory.get(part, 0) for part in _OUTSIDE)
     model.generate(Request((16, 16, 16), seed=1))  # so that loading kernels is not counted
-    peak = _peak_bytes(lambda: model.generate(request))
+    peak = peak_bytes(lambda: model.generate(request))
     assert peak <= arrays, f"the run takes {peak} bytes, {arrays} were forecast"
     assert arrays <= 1.5 * peak, f"{arrays} bytes are forecast, the run takes {peak}"
 
@@ -577,7 +575,7 @@ def _check_resident_memory(case: MethodCase) -> None:
     arrays = plan.peak - sum(plan.memory[part] for part in _OUTSIDE[:2])
     generate_to(model, Request((16, 16, 16), seed=1), folder / "small.zarr", chunks=16)
     path = folder / "x.zarr"
-    peak = _peak_bytes(lambda: generate_to(model, request, path, memory=budget, chunks=32))
+    peak = peak_bytes(lambda: generate_to(model, request, path, memory=budget, chunks=32))
     assert plan.peak <= budget and plan.disk > np.prod(request.shape), f"{plan} for {budget} bytes"
     assert peak <= arrays, f"{peak} bytes are in memory beside the files, {arrays} were forecast"
 
@@ -592,7 +590,7 @@ def _check_learning(case: MethodCase) -> None:
     exemplar, chosen = case.need_exemplar(), case.method()
     plan = chosen.plan_fit(exemplar)
     chosen.fit(exemplar)  # so that loading kernels is not counted
-    peak = _peak_bytes(lambda: chosen.fit(exemplar))
+    peak = peak_bytes(lambda: chosen.fit(exemplar))
     arrays = plan.peak - plan.memory.get("interpreter and kernels", 0)
     assert peak <= arrays <= 1.5 * peak, f"learning takes {peak} bytes, {arrays} were forecast"
     with raises(MemoryBudgetError, "smaller crop", "learning over its budget should be refused"):
@@ -601,16 +599,6 @@ def _check_learning(case: MethodCase) -> None:
 
 def _fast(case: MethodCase) -> str | None:
     return "fast" if "fast" in case.capabilities.presets else None
-
-
-def _peak_bytes(work: Callable[[], object]) -> int:
-    """Return the peak of the bytes that `work` takes."""
-    tracemalloc.start()
-    try:
-        work()
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
 
 
 @_check("refused exemplars")
