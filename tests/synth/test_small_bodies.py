@@ -72,7 +72,7 @@ def test_missing_bodies_are_placed():
     made, votes, report = settled(np.zeros((60, 60, 60), np.uint8), bodies)
     sizes, count = components(made)
     expected = 40 * (60 / 48) ** 3
-    assert set(sizes) <= {64} | set(range(1, 64))  # cut off at faces
+    assert sizes.max() == 64  # faces cut off smaller ones
     assert (sizes == 64).sum() == pytest.approx(expected, rel=0.35)
     assert report["removed"] == 0 and report["added"] == count
     assert np.array_equal(votes[0] > 0, made == 1)
