@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from texture_runs import StoppedError, check_in_files, write_every_checkpoint
 
 import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.engine import checkpoint, memmap
-from trabecula.engine.memory import check_releases
 from trabecula.synth.shared.content.histogram import Histogram, match_histogram, mix_with_neighbours
 from trabecula.synth.shared.content.phase_fractions import assign_phases, brightest_voxels
 from trabecula.synth.shared.matching.region import Region, regions_of
@@ -100,19 +100,7 @@ def test_in_slabs_and_at_once_are_the_same(case, bone, tmp_path):
     made_of, settings, parts = CASES[case]
     exemplar = bone if made_of is None else made_of(bone)
     model = tb.method("texture", **{**QUICK, **settings}).fit(exemplar)
-    request = tb.Request(SHAPE, seed=3, **parts(exemplar))
-    with check_releases():
-        at_once, _ = model.compute(request)
-    with tb.threads(2), memmap.map_large_arrays(tmp_path, memory=1 << 20, thickest=3):
-        values, _ = model.compute(request)
-        assert memmap.file_of(values) is not None
-        assert np.array_equal(values, at_once)
-        del values
-    assert not list(tmp_path.iterdir()), "a file stayed"
-
-
-class StoppedError(Exception):
-    """The run is cut off here."""
+    check_in_files(model, tb.Request(SHAPE, seed=3, **parts(exemplar)), tmp_path)
 
 
 @pytest.mark.whole
@@ -126,8 +114,7 @@ class StoppedError(Exception):
     ids=["corrected", "energy", "energy that settles"],
 )
 def test_a_run_that_was_cut_off_goes_on_after_any_round(settings, bone, tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint, "EVERY", 0.0)
-    monkeypatch.setattr(checkpoint, "_SHARE", 0)
+    write_every_checkpoint(monkeypatch)
     model = tb.method("texture", **{**QUICK, **settings}).fit(bone)
     request = tb.Request(SHAPE, seed=3)
     values, report = model.compute(request)

@@ -1,0 +1,30 @@
+"""Runs of `texture` that are put into scratch files, or cut off."""
+
+import numpy as np
+
+import trabecula as tb
+from trabecula.engine import checkpoint, memmap
+from trabecula.engine.memory import check_releases
+
+
+class StoppedError(Exception):
+    """The run is cut off here."""
+
+
+def check_in_files(model, request, folder):
+    """Check that scratch files and threads change no voxel; return the result and its report."""
+    with check_releases():
+        at_once, report = model.compute(request)
+    with tb.threads(2), memmap.map_large_arrays(folder, memory=1 << 20, thickest=3):
+        values, _ = model.compute(request)
+        assert memmap.file_of(values) is not None
+        assert np.array_equal(values, at_once)
+        del values
+    assert not list(folder.iterdir()), "a file stayed"
+    return at_once, report
+
+
+def write_every_checkpoint(monkeypatch):
+    """Let a run write a checkpoint wherever it may."""
+    monkeypatch.setattr(checkpoint, "EVERY", 0.0)
+    monkeypatch.setattr(checkpoint, "_SHARE", 0)
