@@ -33,8 +33,7 @@ SAMPLE = (
     *("synth/test_shared.py", "synth/test_texture_paper.py", "synth/quilt/test_quilt_cut.py"),
     *("synth/bubbles/test_growth.py", "synth/bubbles/test_draw.py"),
 )
-"""Tests that run, below `tests`. Numbers by coordinate (`engine.random`) wrap negative integers,
-which plain Python refuses: tests that draw such numbers are not among them."""
+"""Tests that run, below `tests`. Most tests of methods take too long: they are not among them."""
 
 PATIENCE = 2.0
 """Seconds after which a test is given up."""
