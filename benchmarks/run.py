@@ -69,6 +69,7 @@ def measures() -> None:
 
 CASES: dict[str, Callable[[], None]] = {
     "texture_fidelity": texture.fidelity,
+    "texture_materials": texture.materials,
     "texture_novelty": texture.novelty,
     "texture_repeat": texture.repeat,
     "texture_energy": texture.energy,

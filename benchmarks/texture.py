@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import trabecula as tb
-from common import pictures, table
+from common import busy, pictures, table
 from descriptors import scans
 from trabecula.core.seeds import generator
 from trabecula.report.descriptors import LabelDescriptors
@@ -30,13 +30,17 @@ NARROW = ("bone a",)
 """Exemplars of 60^3; the others, whose structures are wider, are of 100^3."""
 
 
+def wholes() -> dict[str, tb.Image]:
+    """Return the samples, and the scans that are here, by name."""
+    found = {f"sample {name}": tb.sample(name) for name in tb.samples()}
+    scanned = scans().items()
+    return found | {name: scan for name, scan in scanned if f"sample {name}" not in found}
+
+
 def exemplars() -> dict[str, tb.Image]:
-    """Return exemplars of 60^3 or 100^3 by name: the samples, and the centres of the scans."""
-    found = {f"sample {name}": tb.crop(tb.sample(name), 60) for name in tb.samples()}
-    for name, scan in scans().items():
-        if f"sample {name}" not in found:
-            found[name] = tb.crop(scan, 60 if name in NARROW else 100)
-    return found
+    """Return exemplars of 60^3 or 100^3 by name: of the samples, and the centres of the scans."""
+    narrow = (*NARROW, *(f"sample {name}" for name in tb.samples()))
+    return {name: tb.crop(one, 60 if name in narrow else 100) for name, one in wholes().items()}
 
 
 def chosen_exemplars(*names: str) -> dict[str, tb.Image]:
@@ -181,6 +185,32 @@ def fidelity() -> None:
                     f"{metrics['components'].exemplar:.0f}",
                     floating,
                 )
+
+
+LAYOUTS = ("coarse", "structure")
+"""The default of 0.1, and that of now."""
+
+
+def materials() -> None:
+    """1.25 times the side of the central 96^3 of every exemplar, one seed, with the layout of 0.1
+    and with that of now: how many figures of `verify` lie outside their bands, some of them, and
+    the names of those outside.
+    """
+    names = ("S2 rel", "thickness", "Euler", "pore size", "coh(4)")
+    row = table("exemplar, layout", "out", "of", *names, "CPU s", wide=36)
+    for name, whole in wholes().items():
+        exemplar = tb.crop(whole, [min(96, side) for side in whole.shape])
+        reference = reference_of(exemplar)
+        for layout in LAYOUTS:
+            model = fitted(exemplar, {"layout": layout})
+            shape = [side * 5 // 4 for side in exemplar.shape]
+            seconds, material = busy(lambda model=model, shape=shape: model.generate(shape, seed=1))
+            metrics = judged(reference, material)
+            decided = {key: metric.passed for key, metric in metrics.items()}
+            out = [key for key, passed in decided.items() if passed is False]
+            count = sum(passed is not None for passed in decided.values())
+            row(f"{name}, {layout}", len(out), count, *cells(metrics, names), f"{seconds:.0f}")
+            print("    " + " ".join(out), flush=True)
 
 
 def novelty() -> None:
