@@ -69,19 +69,25 @@ def count_matches(match, active, counts, start, stop):
 
 
 @inline
-def _distance(a, b, most):
-    """Return the squared distance, or something above `most` as soon as that is sure: most
-    candidates fail in the first components.
+def _distance(features, place, exemplar, candidate, most):
+    """Return the squared distance of the site at (z, y, x) of the features, or something above
+    `most` as soon as that is sure: most candidates fail in the first eight components.
     """
+    z, y, x = place
+    depth = exemplar.shape[1]
     total = np.int32(0)
-    first = min(8, a.shape[0])
-    for i in range(first):
-        difference = np.int32(a[i]) - np.int32(b[i])
+    if depth < 8:
+        for i in range(depth):
+            difference = np.int32(features[z, y, x, i]) - np.int32(exemplar[candidate, i])
+            total += difference * difference
+        return total
+    for i in range(8):  # as many as the compiler takes at once, since it knows how many
+        difference = np.int32(features[z, y, x, i]) - np.int32(exemplar[candidate, i])
         total += difference * difference
     if total > most:
         return total
-    for i in range(first, a.shape[0]):
-        difference = np.int32(a[i]) - np.int32(b[i])
+    for i in range(8, depth):
+        difference = np.int32(features[z, y, x, i]) - np.int32(exemplar[candidate, i])
         total += difference * difference
     return total
 
@@ -110,10 +116,10 @@ def _around(words, match, shape, radius):
 
 
 @inline
-def _better(site, exemplar, penalty, candidate, best, least):
+def _better(features, place, exemplar, penalty, candidate, best, least):
     """Return the better of `candidate` and `best`, and its penalised distance."""
     factor = penalty[candidate]
-    d = _distance(site, exemplar[candidate], least / factor)
+    d = _distance(features, place, exemplar, candidate, least / factor)
     value = np.float32(d) * factor
     if value < least:
         return candidate, value
@@ -141,9 +147,11 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
                     match[z, y, x] = old[z, y, x]
                     distance[z, y, x] = 0
                     continue
-                site = features[z - first, y, x]
+                site = (z - first, y, x)
                 best = np.int64(old[z, y, x])
-                least = np.float32(_distance(site, exemplar[best], np.inf)) * penalty[best]
+                least = (
+                    np.float32(_distance(features, site, exemplar, best, np.inf)) * penalty[best]
+                )
                 for axis in range(3):
                     for side in range(-1, 2, 2):
                         dz, dy, dx = (
@@ -159,16 +167,17 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
                         mz, my, mx = -dz * ratios[0], -dy * ratios[1], -dx * ratios[2]
                         candidate = _neighbour_cell(np.int64(old[nz, ny, nx]), shape, mz, my, mx)
                         if candidate >= 0 and candidate != best:
-                            best, least = _better(site, exemplar, penalty, candidate, best, least)
+                            best, least = _better(
+                                features, site, exemplar, penalty, candidate, best, least
+                            )
                 for k in range(tries):
                     words = philox(key, z, y, x, (number << 8) + k)
-                    best, least = _better(
-                        site, exemplar, penalty, below(words[0], count), best, least
-                    )
+                    anywhere = below(words[0], count)
+                    best, least = _better(features, site, exemplar, penalty, anywhere, best, least)
                     near = _around(words, best, shape, max(1, longest >> (k + 2)))
-                    best, least = _better(site, exemplar, penalty, near, best, least)
+                    best, least = _better(features, site, exemplar, penalty, near, best, least)
                 match[z, y, x] = best
-                distance[z, y, x] = _distance(site, exemplar[best], np.inf)
+                distance[z, y, x] = _distance(features, site, exemplar, best, np.inf)
 
 
 @kernel

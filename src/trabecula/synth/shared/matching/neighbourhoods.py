@@ -136,6 +136,7 @@ def project_planes(
         grains, step = (1, 1, 1), step // basis.grain
     across = features.shape[2]
     rows = np.empty((min(_ROWS, features.shape[1] * across), length), np.float32)
+    _, _, Y, X = blocks.shape
     for z in range(len(features)):
         sites = (
             np.arange(features.shape[1] * across) if active is None else np.flatnonzero(active[z])
@@ -143,7 +144,8 @@ def project_planes(
         plane = features[z].reshape(-1, count)
         for first in range(0, len(sites), _ROWS):
             chosen = sites[first : first + _ROWS]
-            gather(blocks, chosen, across, z * steps[0], step, box, grains, rows)
+            y, x = np.divmod(chosen, across)
+            gather(blocks, (z * steps[0] * Y + y * step) * X + x * step, box, grains, rows)
             store(rows[: len(chosen)] @ basis.vectors, factor, chosen, plane)
 
 
@@ -164,34 +166,42 @@ def store(products, factor, sites, plane):
             to[d] = np.int16(np.rint(products[n, d] * factor))
 
 
-@kernel
-def gather(field, sites, across, z0, step, box, grains, rows):
-    """Copy the neighbourhoods at sites y * across + x of one plane, which begins at voxel z0, to
-    rows.
+def gather(
+    blocks: np.ndarray,
+    corners: np.ndarray,
+    box: Triple,
+    grains: Triple,
+    rows: np.ndarray,
+) -> None:
+    """Copy the neighbourhoods of (C, Z, Y, X), contiguous, whose first voxels lie at `corners` (n,)
+    of its first channel to the first rows, (n, C * voxels) float32.
 
-    box, grains (3,) int: the sides of a neighbourhood and of a block of it; of each the last two
-    agree.
+    box, grains : the sides of a neighbourhood and of a block of it, of which one value counts.
     """
-    width, grain = box[2], grains[2]
-    length = width // grain
-    for n in range(len(sites)):
-        y0 = sites[n] // across * step
-        x0 = sites[n] % across * step
-        at = 0
-        for c in range(field.shape[0]):
-            for z in range(z0, z0 + box[0], grains[0]):
-                for y in range(y0, y0 + width, grain):
-                    line = field[
-                        c, z, y, x0 : x0 + width - grain + 1
-                    ]  # slices, which the compiler knows not to wrap around
-                    to = rows[n, at : at + length]
-                    if grain == 1:
-                        for x in range(length):
-                            to[x] = line[x]
-                    else:
-                        for x in range(length):
-                            to[x] = line[x * grain]
-                    at += length
+    depth, height, width = (np.arange(0, b, g) for b, g in zip(box, grains, strict=True))
+    _, Z, Y, X = blocks.shape
+    channels = np.arange(len(blocks))[:, None, None]
+    lines = ((channels * Z + depth[:, None]) * Y + height) * X
+    copy_lines(blocks.reshape(-1), corners, lines.ravel(), len(width), grains[2], rows)
+
+
+@kernel
+def copy_lines(values, corners, lines, length, grain, rows):
+    """Copy `length` values, `grain` apart, from each corner and line on."""
+    for n in range(len(corners)):
+        to, at = rows[n], 0
+        for line in lines:
+            start = corners[n] + line
+            if length == 8 and grain == 1:  # the compiler makes one move of a length that it knows
+                for x in range(8):
+                    to[at + x] = values[start + x]
+            elif length == 6 and grain == 1:
+                for x in range(6):
+                    to[at + x] = values[start + x]
+            else:
+                for x in range(length):
+                    to[at + x] = values[start + x * grain]
+            at += length
 
 
 def block_bytes(basis: Basis, grid: tuple[int, ...]) -> int:

@@ -8,9 +8,6 @@ rotation scheme. It is also faster than a full decomposition where few vectors o
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import pairwise
-
 import numpy as np
 
 from trabecula.engine.compile import kernel
@@ -47,12 +44,11 @@ def principal_basis(
     grid = tuple(side - reach + 1 for side, reach in zip(field.shape[1:], box, strict=True))
     ones = np.arange(np.prod(grid)) if allowed is None else np.flatnonzero(allowed)
     chosen = ones[_spread(len(ones))]
+    blocks = np.ascontiguousarray(block_sums(field, grains))
     sample = np.empty((len(chosen), len(field) * int(np.prod(box) // np.prod(grains))), np.float32)
-    blocks = block_sums(field, grains)
-    for z, sites, rows in _by_plane(chosen, grid):
-        part = np.empty((len(sites), sample.shape[1]), np.float32)
-        gather(blocks, sites, grid[2], z, 1, box, grains, part)
-        sample[rows] = part
+    places = np.unravel_index(chosen, grid)
+    corners = np.asarray(np.ravel_multi_index(places, blocks.shape[1:]))
+    gather(blocks, corners, box, grains, sample)
     total = sample.sum(0, dtype=np.float64)
     with one_blas_thread():
         covariance = _gram(sample, exact=grain == 1) - np.outer(total, total) / len(sample)
@@ -67,16 +63,6 @@ def principal_basis(
     return Basis(
         np.rint(kept * scale).astype(np.float32), scale, width, float(share[count - 1]), grain, flat
     )
-
-
-def _by_plane(chosen: np.ndarray, grid: tuple[int, ...]) -> Iterator[tuple[int, np.ndarray, slice]]:
-    """Yield every plane of a grid that holds some of the chosen sites (rising), their numbers in
-    it, and their places.
-    """
-    planes, sites = np.divmod(chosen, grid[1] * grid[2])
-    bounds = np.flatnonzero(np.diff(planes, prepend=-1, append=grid[0]))
-    for first, stop in pairwise(bounds):
-        yield int(planes[first]), sites[first:stop], slice(first, stop)
 
 
 def _gram(sample: np.ndarray, *, exact: bool) -> np.ndarray:
