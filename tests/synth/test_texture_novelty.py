@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import trabecula as tb
 from trabecula.core.seeds import key
 from trabecula.synth.shared.content.fields import FULL, UNIT, phase_fields, quantise
-from trabecula.synth.shared.statistics.pairs import Pairs
+from trabecula.synth.shared.statistics.pairs import AXES, DIAGONAL, Pairs
 from trabecula.synth.shared.statistics.sliced import rotation, transport_neighbourhoods
 from trabecula.synth.shared.statistics.slices import Transport, slice_target
 from trabecula.synth.shared.statistics.two_point import correlations_of
@@ -172,6 +172,38 @@ def test_directions_are_told_apart():
     assert along[4] < 0.15
     assert down[4] > 0.3
     assert np.allclose(down[1:], across[1:], atol=0.02)
+
+
+def test_the_sign_of_a_tilt_is_told_by_the_diagonals_alone():
+    """Layers across y + x, and their mirror image across y - x: along the axes they are the same;
+    along a diagonal the two-point function stays up in the one and falls in the other.
+    """
+    y, x = np.ogrid[:24, :24]
+    tilted = np.broadcast_to(np.where((y + x) % 12 < 6, 50, -50), (24, 24, 24)).astype(np.int8)
+    mirrored = np.ascontiguousarray(tilted[:, :, ::-1])
+    by_axis, by_line = (
+        [
+            correlations_of([field[None]], softness=HARD, r_max=4, directions=count).curves[0]
+            for field in (tilted, mirrored)
+        ]
+        for count in (AXES, DIAGONAL)
+    )
+    assert np.allclose(*by_axis, atol=0.02)
+    one, other = (curve.reshape(DIAGONAL, -1)[:, 4] for curve in by_line)
+    assert np.abs(one - other).max() > 0.25
+
+
+def test_each_of_the_26_neighbours_shares_its_line_with_the_opposite_one():
+    r_max = 2
+    pairs = Pairs((9, 9, 9), r_max, directions=DIAGONAL)
+    lines: dict[int, list[tuple[int, ...]]] = {}
+    for z, y, x in np.ndindex(2, 3, 3):
+        if (z, y, x) != (0, 1, 1):
+            line = int(pairs.places[z, y + 1, x + 1]) // (r_max + 1)
+            lines.setdefault(line, []).append((z, y - 1, x - 1))
+    assert sorted(lines) == list(range(DIAGONAL))
+    for own in lines.values():  # of a pair in the plane z = 0 both orders are there
+        assert len(own) == 1 or own == [(0, -own[1][1], -own[1][2]), own[1]]
 
 
 def test_misfit_around_and_within_a_mask_is_that_of_the_measure():

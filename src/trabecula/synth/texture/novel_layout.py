@@ -35,6 +35,7 @@ from trabecula.synth.shared.statistics.long_waves import (
     long_waves_of,
     wave_stages,
 )
+from trabecula.synth.shared.statistics.pairs import AXES, DIAGONAL
 from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods, transport_stages
 from trabecula.synth.shared.statistics.slices import SliceTarget, slice_target
 from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
@@ -160,7 +161,10 @@ def aims_of(
     config: TextureConfig,
 ) -> Aims:
     """Learn one level; `fields` are the exemplars themselves in int8, without turned copies."""
-    correlations = correlations_at(fields, level, edges=edges, clip=config.clip)
+    directions = DIAGONAL if config.layout == "structure" else AXES
+    correlations = correlations_at(
+        fields, level, edges=edges, clip=config.clip, directions=directions
+    )
     waves = long_waves_of(fields, level, softness=correlations.softness)
     correlations = replace(correlations, waves=waves)
     made = [

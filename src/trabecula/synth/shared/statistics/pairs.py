@@ -9,9 +9,11 @@ holds a contiguous piece.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -29,6 +31,16 @@ _WORTH = 1 << 19
 
 _CONE = np.cos(np.pi / 8) ** 2
 
+_LINES = [
+    line
+    for line in product((0, 1), (-1, 0, 1), (-1, 0, 1))
+    if next((step for step in line if step), 0) > 0
+]
+"""Directions (z, y, x) from a voxel to the 13 of its 26 neighbours that the others mirror."""
+
+AXES, DIAGONAL = 3, len(_LINES)
+"""Directions by which pairs are binned: the axes alone, or their diagonals as well."""
+
 
 def _enough(values: int) -> int:
     """Count the planes of so many values that are worth a thread."""
@@ -42,7 +54,8 @@ class Pairs:
 
     `edges` are the sides of a voxel in the unit of distances; axes that wrap have no ends; `free`
     (Z, Y, X) bool says which voxels count (None: all). With two `cones` those within 22.5 degrees
-    of their axis have bins of their own.
+    of their axis have bins of their own. With `DIAGONAL` directions the diagonals of faces and of
+    the cube have bins as the axes have them.
     """
 
     shape: tuple[int, ...]
@@ -51,6 +64,7 @@ class Pairs:
     edges: tuple[float, ...] = (1.0, 1.0, 1.0)
     free: np.ndarray | None = None
     cones: int = 1
+    directions: int = AXES
 
     @cached_property
     def reach(self) -> tuple[int, ...]:
@@ -79,9 +93,9 @@ class Pairs:
     @property
     def bins(self) -> int:
         """Count the bins: distances 0 .. r_max of pairs that are nearest to z, then to y, then to
-        x; for each cone.
+        x, and to the diagonals; for each cone.
         """
-        return 3 * self.cones * (self.r_max + 1)
+        return self.directions * self.cones * (self.r_max + 1)
 
     @cached_property
     def places(self) -> np.ndarray:
@@ -89,7 +103,10 @@ class Pairs:
         steps = [offset * edge for offset, edge in zip(self.offsets, self.edges, strict=True)]
         z, y, x = np.meshgrid(*steps, indexing="ij", sparse=True)
         rounded = (np.sqrt(z**2 + y**2 + x**2) + 0.5).astype(np.int64)
-        sort = np.where((z**2 >= y**2) & (z**2 >= x**2), 0, np.where(y**2 >= x**2, 1, 2))
+        if self.directions == DIAGONAL:
+            sort = _nearest_line(z, y, x)
+        else:
+            sort = np.where((z**2 >= y**2) & (z**2 >= x**2), 0, np.where(y**2 >= x**2, 1, 2))
         if self.cones == 2:
             longest = np.maximum(np.maximum(z**2, y**2), x**2)
             sort = sort + 3 * (longest < _CONE * (z**2 + y**2 + x**2))
@@ -238,6 +255,17 @@ class Pairs:
             self.places.ravel(), weights=(sums * twice).ravel(), minlength=self.bins + 1
         )
         return np.asarray(counted[: self.bins])
+
+
+def _nearest_line(z: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return the number of the direction to which an offset (sparse grids) lies nearest."""
+    longest = np.full(np.broadcast_shapes(z.shape, y.shape, x.shape), -1.0)
+    nearest = np.zeros(longest.shape, np.int64)
+    for number, (a, b, c) in enumerate(_LINES):
+        along = np.abs(a * z + b * y + c * x) / math.sqrt(a * a + b * b + c * c)
+        nearest[along > longest] = number
+        np.maximum(longest, along, out=longest)
+    return nearest
 
 
 def _flat_transforms(

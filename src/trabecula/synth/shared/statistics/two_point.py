@@ -2,7 +2,8 @@
 interface, so that a small move of it changes them a little.
 
 Pairs are binned by their distance and by the nearest axis: of distance alone, a material that
-is longer along one axis would come out longer still.
+is longer along one axis would come out longer still. With axes alone it may come out longer along a
+diagonal: so the diagonals have bins of their own where that is asked for.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from trabecula.engine.parallel import sum_slabs
 from trabecula.synth.shared.content.fields import FULL
 from trabecula.synth.shared.statistics.long_waves import LongWaves
-from trabecula.synth.shared.statistics.pairs import Pairs
+from trabecula.synth.shared.statistics.pairs import AXES, Pairs
 
 _SOFTNESS = (1.6, 2.4)  # voxels of the soft interface: on the finest level, and on the others
 # farthest distance in voxels of the finest level, and at least so many of a level's own
@@ -25,8 +26,9 @@ _REACH, _NEAR = 30, 6
 
 @dataclass(frozen=True)
 class Correlations:
-    """Target of the steps: `curves` (C, 3 (r_max + 1)), the two-point function of every channel's
-    soft indicator, of pairs nearest to z, then to y, then to x.
+    """Target of the steps: `curves` (C, directions (r_max + 1)), the two-point function of every
+    channel's soft indicator, of pairs nearest to z, then to y, then to x, or to each of the axes
+    and diagonals in turn.
 
     `softness` is the width of the soft step in int8 steps of the field; `edges` are the sides of a
     voxel; `held` (bool) says for which of them the exemplars hold any pairs. With `waves` the steps
@@ -38,11 +40,12 @@ class Correlations:
     edges: tuple[float, ...]
     held: np.ndarray
     waves: LongWaves | None = None
+    directions: int = AXES
 
     @property
     def r_max(self) -> int:
         """Return the largest distance."""
-        return self.curves.shape[1] // 3 - 1
+        return self.curves.shape[1] // self.directions - 1
 
 
 def correlations_of(
@@ -51,6 +54,7 @@ def correlations_of(
     softness: float,
     r_max: int,
     edges: Sequence[float] = (1.0, 1.0, 1.0),
+    directions: int = AXES,
 ) -> Correlations:
     """Measure the two-point functions of the soft indicators of exemplars (C, Z, Y, X) int8, all
     pairs of them counted alike.
@@ -67,21 +71,29 @@ def correlations_of(
         Largest distance, in the unit of `edges`.
     edges : three floats
         Sides of a voxel.
+    directions : int
+        `AXES` or `DIAGONAL`.
     """
     steps = (float(edges[0]), float(edges[1]), float(edges[2]))
-    sums = np.zeros((len(fields[0]), 3 * (r_max + 1)))
-    fits = np.zeros(3 * (r_max + 1))
+    bins = directions * (r_max + 1)
+    sums, fits = np.zeros((len(fields[0]), bins)), np.zeros(bins)
     for field in fields:
-        pairs = Pairs(field.shape[1:], r_max, edges=steps)
+        pairs = Pairs(field.shape[1:], r_max, edges=steps, directions=directions)
         fits += pairs.fits
         for c, channel in enumerate(field):
             spectrum = pairs.forward(Soft.of(channel, softness).plane)
             sums[c] += pairs.curve(spectrum, spectrum) * pairs.fits
-    return Correlations(sums / np.maximum(fits, 1), softness, steps, fits > 0)
+    curves = sums / np.maximum(fits, 1)
+    return Correlations(curves, softness, steps, fits > 0, directions=directions)
 
 
 def correlations_at(
-    fields: Sequence[np.ndarray], level: int, *, edges: Sequence[float], clip: float
+    fields: Sequence[np.ndarray],
+    level: int,
+    *,
+    edges: Sequence[float],
+    clip: float,
+    directions: int = AXES,
 ) -> Correlations:
     """Measure the target of one level (0 the finest) of a pyramid, with the softness and the reach
     that suit it.
@@ -93,7 +105,11 @@ def correlations_at(
     reach = min(_REACH, shortest * 2**level // 2 - 1)
     softness = _SOFTNESS[min(level, len(_SOFTNESS) - 1)] * FULL / clip
     return correlations_of(
-        fields, softness=softness, r_max=max(_NEAR, reach // 2**level), edges=edges
+        fields,
+        softness=softness,
+        r_max=max(_NEAR, reach // 2**level),
+        edges=edges,
+        directions=directions,
     )
 
 

@@ -59,8 +59,8 @@ def misfit(
     periodic: Sequence[bool] = (False, False, False),
     free: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Subtract the target's two-point functions from those of (C, Z, Y, X) int8: (C, 3 (r_max +
-    1)); 0 where there are no pairs.
+    """Subtract the target's two-point functions from those of (C, Z, Y, X) int8: (C, bins), 0 where
+    there are no pairs.
     """
     pairs, _ = _pairs(field.shape[1:], target, periodic, free)
     found = np.empty_like(target.curves)
@@ -84,7 +84,7 @@ def two_point_step(
     ----------
     field : (C, Z, Y, X) int8
     target : Correlations
-    debt : (C, 3 (r_max + 1)), optional
+    debt : (C, bins), optional
         Misfit to aim beyond the target by: a field at target - debt is left as it is.
     periodic : three bools
         Whether pairs wrap around.
@@ -140,7 +140,12 @@ def _pairs(
 ) -> tuple[Pairs, Pairs]:
     """Return the pairs that count, and those of directions, which wrap around the faces."""
     pairs = Pairs(
-        tuple(shape), target.r_max, tuple(bool(wrap) for wrap in periodic), target.edges, free
+        tuple(shape),
+        target.r_max,
+        tuple(bool(wrap) for wrap in periodic),
+        target.edges,
+        free,
+        directions=target.directions,
     )
     return pairs, replace(pairs, wraps=(True, True, True), free=None)
 
@@ -184,7 +189,7 @@ def _step(
     # Cut at twice the smallest window instead, S2 of bone is .03 off where it is .015 now: lags of
     # 16 to 40 have no other hold.
     shortest = target.waves.widths[-1] if target.waves is not None and target.waves.widths else 0
-    pushes, changes = split_into_bands(excess * weights), []
+    pushes, changes = split_into_bands(excess * weights, r), []
     for push in pushes:
         work.enter("make a direction")
         direction = _direction(push, soft, moving, work["centred"], around, shortest)
@@ -236,11 +241,10 @@ def _take(direction: _Direction, length: np.float32, unit: np.float32, votes: np
     for_slabs(work, len(votes))
 
 
-def split_into_bands(push: np.ndarray) -> list[np.ndarray]:
-    """Split a push at every distance into one array a band, scaled to its largest; bands without
-    any are left out.
+def split_into_bands(push: np.ndarray, r: np.ndarray) -> list[np.ndarray]:
+    """Split a push at the distance of every bin into one array a band, scaled to its largest; bands
+    without any are left out.
     """
-    r = np.arange(len(push)) % (len(push) // 3)
     bands = []
     for low, high in zip(BANDS, (*BANDS[1:], len(push)), strict=True):
         part = np.where((r >= low) & (r < high), push, 0.0)
