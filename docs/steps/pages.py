@@ -54,6 +54,7 @@ _ALSO = {
     "report.inspection": ("Inspection",),
     "report.recommend": ("Recommendation",),
     "measure.margins": ("Margins",),
+    "pipeline.trials": ("Trial",),
     "mesh.surface": ("mesh",),
     "mesh.base": ("Mesh",),
     "mesh.check": ("check", "MeshCheck"),

@@ -40,6 +40,7 @@ _NAMES = {
     "describe": "trabecula.measure",
     "method": "trabecula.synth.api.registry",
     "methods": "trabecula.synth.api.registry",
+    "choose_settings": "trabecula.pipeline.trials",
     "load_model": "trabecula.synth.api.serialize",
     "load": "trabecula.pipeline.inputs",
     "export": "trabecula.pipeline.outputs",

@@ -27,6 +27,7 @@ from trabecula.mesh.voxels import voxelise as voxelise
 from trabecula.pipeline.inputs import load as load
 from trabecula.pipeline.outputs import export as export
 from trabecula.pipeline.replay import rerun as rerun
+from trabecula.pipeline.trials import choose_settings as choose_settings
 from trabecula.report.certificate import verify as verify
 from trabecula.report.inspection import inspect as inspect
 from trabecula.synth.api.registry import method as method
@@ -41,6 +42,7 @@ __all__ = [
     "Recipe",
     "Request",
     "__version__",
+    "choose_settings",
     "crop",
     "crop_margins",
     "describe",

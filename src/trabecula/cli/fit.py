@@ -10,7 +10,7 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
-from trabecula.cli.method_choice import check_fits, method_for
+from trabecula.cli.method_choice import check_fits, method_for, tried
 from trabecula.core.errors import FileError, InputError
 
 _SHORT = ("minutes", "device", "run")
@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", required=True, metavar="MODEL", help="file to write, for generate --model"
     )
     shared.add_settings(parser)
+    shared.add_effort(parser)
     parser.add_argument(
         "--minutes", type=float, metavar="M", help="time to learn for, where the method takes any"
     )
@@ -61,6 +62,8 @@ def run(options: argparse.Namespace) -> int:
             chosen, recommended = method_for(exemplars, options)
         else:
             check_fits(chosen, exemplars)
+        if options.effort is not None:
+            chosen = tried(chosen, exemplars, options)
         model = chosen.fit(exemplars if len(exemplars) > 1 else exemplars[0], memory=options.memory)
         if recommended:
             terminal.note(recommended)

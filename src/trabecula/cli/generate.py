@@ -7,18 +7,19 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
-from trabecula.cli.method_choice import check_fits, method_for
+from trabecula.cli.method_choice import check_fits, method_for, tried
 from trabecula.core.errors import InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the request, the result's place, and the options of runs in blocks."""
     add_request(parser)
+    shared.add_effort(parser)
     parser.add_argument(
         "--out",
         metavar="FILE",
@@ -239,6 +240,13 @@ def _generate(options: argparse.Namespace) -> Any:
     check_target(options.out, resumes=True)
     cluster = _cluster(options)
     job = prepare(options)
+    if options.effort is not None:
+        if job.model is not None:
+            raise InputError(
+                f"--effort beside --model {options.model}: the model has learned with settings of "
+                "its own; give --effort to fit"
+            )
+        job = replace(job, method=tried(job.method, job.exemplars, options))
     model = job.fit(memory=options.memory)
     cut = {"memory": options.memory, "chunks": options.chunks}
     # What workers need is forecast when they are there and tell what they have.

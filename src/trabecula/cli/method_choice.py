@@ -54,3 +54,23 @@ def check_fits(method: Any, exemplars: list[Any]) -> None:
         )
         if why is not None:
             raise InputError(why)
+
+
+def tried(method: Any, exemplars: list[Any] | None, options: argparse.Namespace) -> Any:
+    """Return the method with the settings that the trials of --effort choose, and tell what each
+    gave.
+    """
+    from trabecula.cli.terminal import note
+    from trabecula.pipeline.trials import choose_settings
+
+    effort = shared.integer(options.effort, name="--effort")
+    if exemplars is None or len(exemplars) != 1:
+        raise InputError(
+            f"--effort {effort}: trials are held against one exemplar, got {len(exemplars or ())}"
+        )
+    chosen, trials = choose_settings(method, exemplars[0], effort=effort, memory=options.memory)
+    for trial in trials:
+        note(str(trial))
+    if trials:
+        note(f"taken: {min(trials, key=lambda trial: len(trial.outside)).named}")
+    return chosen

@@ -99,6 +99,16 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_effort(parser: argparse.ArgumentParser) -> None:
+    """Add the effort of trials."""
+    parser.add_argument(
+        "--effort",
+        metavar="N",
+        help="2 or 3: try other settings of the method first, and keep those with the fewest "
+        "figures out of band (texture; default 1: no trial)",
+    )
+
+
 def add_parts(parser: argparse.ArgumentParser) -> None:
     """Add the parts of a request besides its shape: a form, periodic axes, a measured part."""
     group = parser.add_argument_group("forms, tiles and measured parts")

@@ -177,12 +177,25 @@ class TextureConfig:
         return {"layout": "coarse", **settings}
 
     @classmethod
+    def alternatives(cls, effort: int) -> tuple[dict[str, Any], ...]:
+        """List settings to try beside the default, of `effort` 2 or 3."""
+        return _ALTERNATIVES if effort > 2 else _ALTERNATIVES[:2]
+
+    @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
         """Return the settings of a preset."""
         return dict(_PRESETS[name])
 
 
 _NOVELTY = 1.0
+
+_ALTERNATIVES: tuple[dict[str, Any], ...] = (
+    {"novelty": 0.5},
+    {"layout": "coarse"},
+    {"novelty": 0.25},
+    {"novelty": 0.75},
+    {"layout": "coarse", "novelty": 0.5},
+)
 
 _CHOICES: dict[str, tuple[Any, ...]] = {
     "histogram": (True, False),

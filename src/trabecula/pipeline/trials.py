@@ -1,0 +1,129 @@
+"""Settings by trial: material is made with each of several, and the certificate chooses.
+
+What differs between the trials is settings, never the seed: to keep the best of several seeds would
+make every result alike, where the material itself differs from place to place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from trabecula.core.checks import as_number
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image, as_image
+from trabecula.core.progress import notify
+from trabecula.report.certificate import verify
+from trabecula.synth.api.method import Method
+
+MOST = 3
+"""The largest effort."""
+
+_SIDE = 96  # voxels of a trial along every axis, at most
+_SEED = 0
+_NAMED = 6  # figures that a line lists
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A trial and its certificate.
+
+    Attributes
+    ----------
+    settings : mapping
+        What differs from the settings that were asked for; empty for these themselves.
+    outside : tuple of str
+        Figures outside the band of the real material.
+    decided : int
+        Figures that have a band.
+    """
+
+    settings: Mapping[str, Any]
+    outside: tuple[str, ...]
+    decided: int
+
+    @property
+    def named(self) -> str:
+        """Return the settings in words."""
+        changed = ", ".join(f"{name}={value}" for name, value in self.settings.items())
+        return changed or "the settings as they are"
+
+    def __str__(self) -> str:
+        """Return the trial in a line."""
+        more = len(self.outside) - _NAMED
+        listed = ", ".join(self.outside[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+        off = f"{len(self.outside)} of {self.decided} figures out of band"
+        return f"{self.named}: {off}{': ' if listed else ''}{listed}"
+
+
+def choose_settings(
+    method: Method, exemplar: Image, *, effort: int = 2, memory: int | None = None
+) -> tuple[Method, tuple[Trial, ...]]:
+    """Choose the settings of a method for an exemplar by trial.
+
+    Material of the exemplar's size (96 voxels a side at most) is made with the settings as they are
+    and with the method's own alternatives to them, one seed each; all are verified. The settings
+    with the fewest figures out of band are kept, the first of equals. A setting that is not at its
+    default stays as it is.
+
+    Parameters
+    ----------
+    method : Method
+    exemplar : Image
+        Volume or picture that the method learns from.
+    effort : int
+        1: no trial. 2 or 3: the method's first alternatives, or all.
+    memory : int, optional
+        Budget in bytes for every trial. Default: the memory that is available.
+
+    Returns
+    -------
+    method : Method
+    trials : tuple of Trial
+        In the order in which they were made.
+
+    Raises
+    ------
+    InputError
+        The method has no alternatives; no setting is left to try; or what `Method.fit` and `verify`
+        raise.
+    """
+    number = int(as_number(effort, name="effort", low=1, high=MOST, whole=True))
+    if number == 1:
+        return method, ()
+    exemplar = as_image(exemplar)
+    asked: list[Mapping[str, Any]] = [{}, *_alternatives(method, number)]
+    shape = tuple(min(side, _SIDE) for side in exemplar.shape)
+    methods, made = [], []
+    for count, settings in enumerate(asked, start=1):
+        notify(f"trial {count} of {len(asked)}")
+        methods.append(type(method)(replace(method.config, **settings)))
+        model = methods[-1].fit(exemplar, memory=memory)
+        made.append(model.generate(shape, seed=_SEED, memory=memory))
+    trials = tuple(
+        Trial(
+            settings,
+            tuple(name for name, metric in judged.metrics.items() if metric.passed is False),
+            sum(metric.passed is not None for metric in judged.metrics.values()),
+        )
+        for settings, judged in zip(asked, verify(exemplar, *made), strict=True)
+    )
+    return methods[min(range(len(trials)), key=lambda at: len(trials[at].outside))], trials
+
+
+def _alternatives(method: Method, effort: int) -> list[Mapping[str, Any]]:
+    """List the alternatives to a method's settings that leave alone what was set."""
+    known = method.capabilities.name
+    offered = getattr(method.config_type, "alternatives", None)
+    if offered is None:
+        raise InputError(f"method {known!r} has no alternatives to try: leave the effort out")
+    defaults = vars(method.config_type())
+    changed = {name for name, value in vars(method.config).items() if value != defaults[name]}
+    left = [settings for settings in offered(effort) if not changed & settings.keys()]
+    if not left:
+        raise InputError(
+            f"{', '.join(sorted(changed))} of method {known!r} are set, and nothing is left to "
+            "try: leave these settings out, or the effort"
+        )
+    return left

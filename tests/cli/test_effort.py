@@ -1,0 +1,93 @@
+"""`--effort`: settings chosen by trial, from the command line and from Python."""
+
+import numpy as np
+import pytest
+
+import trabecula as tb
+from trabecula.cli.main import main
+from trabecula.errors import InputError
+from trabecula.pipeline import trials as choosing
+from trabecula.report.certificate import Certificate
+from trabecula.report.metrics import Metric
+
+
+@pytest.fixture
+def bone():
+    return tb.crop(tb.sample("bone"), 32)
+
+
+def judge(monkeypatch, outside):
+    """Let the certificate find so many figures out of band in each trial."""
+
+    def verdicts(exemplar, *images):
+        assert [image.shape for image in images] == [exemplar.shape] * len(outside)
+        return [
+            Certificate(
+                {f"figure {number}": Metric(1.0, passed=number >= count) for number in range(5)}
+            )
+            for count in outside
+        ]
+
+    monkeypatch.setattr(choosing, "verify", verdicts)
+
+
+def test_the_trial_with_the_fewest_figures_out_of_band_is_taken(bone, monkeypatch):
+    judge(monkeypatch, [3, 1, 2])
+    chosen, made = tb.choose_settings(tb.method("texture", tries=1), bone)
+    assert [dict(trial.settings) for trial in made] == [{}, {"novelty": 0.5}, {"layout": "coarse"}]
+    assert [len(trial.outside) for trial in made] == [3, 1, 2]
+    assert chosen.config == tb.method("texture", tries=1, novelty=0.5).config
+    assert str(made[1]) == "novelty=0.5: 1 of 5 figures out of band: figure 0"
+
+
+def test_of_equals_the_settings_as_they_are_stay_and_what_was_set_is_not_tried(bone, monkeypatch):
+    judge(monkeypatch, [1, 1])
+    asked = tb.method("texture", novelty=1.0, sweeps=1)
+    chosen, made = tb.choose_settings(asked, bone)
+    assert chosen.config == asked.config
+    assert [dict(trial.settings) for trial in made] == [{}, {"layout": "coarse"}]
+
+
+def test_effort_1_tries_nothing(bone):
+    asked = tb.method("texture")
+    assert tb.choose_settings(asked, bone, effort=1) == (asked, ())
+
+
+@pytest.mark.parametrize(
+    ("method", "settings", "effort", "said"),
+    [
+        ("quilt", {}, 2, "no alternatives"),
+        ("texture", {"novelty": 0.2, "layout": "coarse"}, 3, "nothing is left"),
+        ("texture", {}, 4, "effort=4"),
+    ],
+)
+def test_what_cannot_be_tried_is_refused(bone, method, settings, effort, said):
+    with pytest.raises(InputError, match=said):
+        tb.choose_settings(tb.method(method, **settings), bone, effort=effort)
+
+
+@pytest.mark.whole
+def test_the_command_line_tells_every_trial_and_records_the_settings(tmp_path, bone, capsys):
+    scan, out = tmp_path / "bone.tif", tmp_path / "new.tif"
+    tb.write(bone, scan)
+    asked = ["generate", str(scan), "--method", "texture", "--shape", "32", "--seed", "3"]
+    assert main([*asked, "--effort", "2", "--out", str(out)]) == 0
+    told = capsys.readouterr()
+    lines = [line for line in told.err.splitlines() if "figures out of band" in line]
+    assert len(lines) == 3
+    counts = [int(line.split(": ")[2].split(" of ")[0]) for line in lines]
+    recorded = tb.read(out).recipe.steps[-1]["settings"]
+    taken = ({}, {"novelty": 0.5}, {"layout": "coarse"})[int(np.argmin(counts))]
+    assert all(recorded[name] == value for name, value in taken.items())
+    again = tb.method("texture", **taken).fit(tb.read(scan)).generate(32, seed=3)
+    assert np.array_equal(tb.read(out).values, again.values)
+
+
+def test_effort_beside_a_model_or_without_an_exemplar_is_refused(tmp_path, bone, capsys):
+    out, model = str(tmp_path / "x.tif"), tmp_path / "bone.model"
+    tb.method("texture", preset="fast").fit(bone).save(model)
+    asked = ["generate", "--shape", "32", "--effort", "2", "--out", out]
+    assert main([*asked, "--model", str(model)]) == 2
+    assert "--effort beside --model" in capsys.readouterr().err
+    assert main([*asked, "--method", "noise"]) == 2
+    assert "one exemplar" in capsys.readouterr().err
