@@ -73,6 +73,7 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_novelty": texture.novelty,
     "texture_repeat": texture.repeat,
     "texture_energy": texture.energy,
+    "texture_paper": texture.paper,
     "evenness": evenness.evenness_table,
     "texture_speed": texture_speed.speed,
     "texture_sizes": texture_speed.sizes,

@@ -315,6 +315,28 @@ def _texture_energy() -> tb.Image:
     return tb.method("texture", **settings).fit(bone(24)).generate(SHAPE, seed=6)
 
 
+@case("texture-paper-before")
+def _texture_paper_before() -> tb.Image:
+    """Make what `preset="paper"` made before it started from copies, of the settings it had."""
+    settings = {
+        "novelty": 0.0,
+        "neighbourhood": (10, 8, 4),
+        "step": 0,
+        "levels": 2,
+        "first_rounds": 30,
+        "rounds": (30,),
+        "components": 128,
+        "trim": 0,
+        "histogram": False,
+        "search": "exact",
+        "orientations": "mirrors",
+        "gradient": 0.1,
+        "adaptive": True,
+        "tolerance": 1e-3,
+    }
+    return tb.method("texture", **settings).fit(bone(24)).generate(SHAPE, seed=3)
+
+
 @case("texture-exact-search")
 def _texture_exact() -> tb.Image:
     settings = {**QUICK["texture"], "search": "exact", "field": "indicator"}

@@ -21,7 +21,11 @@ class TextureConfig:
 
     step: int = 2
     """Distance t between neighbourhoods on all but the coarsest level, voxels, 1 .. w / 2 (section
-    4.1; 1 on the coarsest). 0 stands for half the width on every level."""
+    4.1; 1 on the coarsest). 0 stands for `step_share` of the width on every level."""
+
+    step_share: float = 0.5
+    """Share of the width that a `step` of 0 stands for, .25 .. .9. The more neighbourhoods overlap,
+    the more is averaged away where they do not match yet."""
 
     levels: int = 6
     """Resolutions at most, each half the next, 1 .. 8 (section 5.1: two). As many are used as leave
@@ -84,8 +88,12 @@ class TextureConfig:
 
     histogram: bool = True
     """Whether every round matches the histogram of the field to the exemplar's, and the result
-    holds its volume fractions. Without, labels are split at the middle of the field, as the paper's
-    iso-value does."""
+    holds its volume fractions."""
+
+    iso_value: str = "middle"
+    """Where labels are split if `histogram` does not hold: at the "middle" of the field, which is
+    the exemplar's own iso-value (section 3), or at that of the exemplar's volume "fraction"; then
+    grey values and colours have the exemplar's histogram in the end, thus every iso-value holds."""
 
     search: str = "coherent"
     """"coherent": each site tries its own match, its neighbours' moved along, and random ones.
@@ -146,7 +154,7 @@ class TextureConfig:
 
     def step_of(self, width: int) -> int:
         """Return the distance between neighbourhoods of a width."""
-        return self.step or width // 2
+        return self.step or int(width * self.step_share)
 
     def novelty_for(self, *, labels: bool) -> float:
         """Return the dial, or its default for exemplars of labels or of grey values and colours.
@@ -201,6 +209,7 @@ _CHOICES: dict[str, tuple[Any, ...]] = {
     "histogram": (True, False),
     "adaptive": (True, False),
     "field": ("distance", "indicator"),
+    "iso_value": ("middle", "fraction"),
     "search": ("coherent", "exact"),
     "layout": ("structure", "coarse"),
     "orientations": ("none", "mirrors", "upright", "all"),
@@ -220,21 +229,24 @@ _PRESETS: dict[str, dict[str, Any]] = {
         "novelty": 0.0,
         "neighbourhood": (10, 8, 4),
         "step": 0,
+        "step_share": 0.8,
         "levels": 2,
         "first_rounds": 30,
         "rounds": (30,),
+        "variance": 0.99,
         "components": 128,
         "trim": 0,
         "histogram": False,
+        "iso_value": "fraction",
         "search": "exact",
-        "orientations": "mirrors",
         "gradient": 0.1,
         "adaptive": True,
-        "tolerance": 1e-3,
+        "tolerance": 0.02,
     },
 }
 
 _RANGES = {
+    "step_share": (0.25, 0.9),
     "levels": (1, 8),
     "first_rounds": (1, 100),
     "clip": (2, 20),

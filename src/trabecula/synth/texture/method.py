@@ -138,9 +138,8 @@ class TextureModel(Model):
 
     def __init__(self, config: TextureConfig, exemplars: Sequence[Image]) -> None:
         super().__init__(config, exemplars)
-        self.content: Content = content_of(
-            exemplars, field=config.field, histogram=config.histogram
-        )
+        held = config.histogram or config.iso_value == "fraction"
+        self.content: Content = content_of(exemplars, field=config.field, histogram=held)
         self.novelty = config.novelty_for(labels=exemplars[0].kind == "labels")
         turns = symmetries(config.orientations, spacing=exemplars[0].spacing)
         fields = [self.content.fields(exemplar) for exemplar in exemplars]
