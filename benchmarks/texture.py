@@ -300,7 +300,7 @@ def _value(metrics: Mapping[str, Metric], name: str) -> float:
 def _paper_exemplars() -> dict[str, tb.Image]:
     """Return 60^3 of bones, a rock and particles where there are scans, and of the samples."""
     names = ("bone a", "bone with cortex", "grey bone, Otsu", "bone b", "Berea", "NMC")
-    found = {**scans(), **{f"sample {name}": tb.sample(name) for name in tb.samples()}}
+    found = wholes()
     file, edge, length = GREY["grey bone"]
     if (SCANS / file).is_file():
         found["grey bone, grey"] = tb.read(SCANS / file, spacing=edge, unit=length)

@@ -7,6 +7,8 @@ import pytest
 
 import trabecula as tb
 from frozen.cases import CASES, FILES, PRESETS, digest
+from trabecula.engine.checkpoint import identity_of
+from trabecula.pipeline.replay import model_and_request
 
 HASHES = json.loads((Path(__file__).parent / "hashes.json").read_text(encoding="utf-8"))
 
@@ -74,3 +76,12 @@ def test_the_recipe_of_an_old_file_makes_its_voxels(name):
 def test_an_array_in_memory_is_given_as_a_file():
     again = tb.rerun(FILES / "array" / "texture.nrrd", exemplar=FILES / "array" / "exemplar.npy")
     assert digest(again) == digest(tb.read(FILES / "array" / "texture.nrrd"))
+
+
+@pytest.mark.parametrize("name", ["texture", "kopf", "chen", "mrf", "quilt", "sliced"])
+def test_an_unfinished_run_of_before_is_resumed(name):
+    """Its checkpoint names the run by the settings that there were then."""
+    step = tb.read(FILES / f"{name}.nrrd").recipe.steps[-1]
+    model, request = model_and_request(step, folder=FILES)
+    before = identity_of(name, step["settings"], request, model.exemplars)
+    assert model.identity(request) == before

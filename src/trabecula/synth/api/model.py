@@ -299,8 +299,18 @@ class Model(ABC):
         return advice if found is None else f"{advice} ({' '.join(map(str, found))} fits)"
 
     def _decisive(self) -> dict[str, Any]:
-        """Return everything beside the exemplars that the results depend on."""
-        return self.settings() if self.capabilities.stores_exemplar else {"model": self.sha256}
+        """Return everything beside the exemplars that the results depend on.
+
+        A setting that came later counts only where it is not what held before it: so the unfinished
+        run of an earlier version is resumed.
+        """
+        if not self.capabilities.stores_exemplar:
+            return {"model": self.sha256}
+        before: dict[str, Any] = getattr(type(self.config), "recorded", dict)({})
+        settings = self.settings().items()
+        return {
+            name: value for name, value in settings if name not in before or value != before[name]
+        }
 
     def _voxel(self) -> dict[str, Any]:
         """Return the size of the voxels of a model without exemplar."""

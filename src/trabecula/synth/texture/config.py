@@ -182,7 +182,7 @@ class TextureConfig:
     @classmethod
     def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Complete the settings of a recipe or a model that is older than some of them."""
-        return {"layout": "coarse", **settings}
+        return {"layout": "coarse", "iso_value": "middle", "step_share": 0.5, **settings}
 
     @classmethod
     def alternatives(cls, effort: int) -> tuple[dict[str, Any], ...]:
