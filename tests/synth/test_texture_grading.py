@@ -9,9 +9,12 @@ from trabecula.core.recipe import digest
 from trabecula.engine import parallel
 from trabecula.errors import RequestError
 from trabecula.synth.shared.box_sums import window_sums
+from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.statistics.two_point import soft_indicator
 from trabecula.synth.texture.graded import FractionTarget, carry_over, settle_fractions
 from trabecula.synth.texture.method import Texture
+from trabecula.synth.texture.novel_layout import with_fractions
 from trabecula.testing.peak import peak_bytes
 
 SHAPE = (72, 36, 36)
@@ -203,3 +206,32 @@ def test_what_cannot_be_honoured_is_refused(bone, model):
 def test_the_request_is_told_as_it_was_asked(graded, ramp):
     told = graded.recipe.steps[-1]["request"]["target"]["volume_fraction"]
     assert told == ramp.recipe.to_json()
+
+
+@pytest.mark.whole
+def test_one_number_is_met_by_new_material(bone):
+    piece = tb.crop(bone, 48)
+    asked = 1.3 * piece.values.mean()
+    made = tb.method("texture").fit(piece).generate(48, seed=1, target={"volume_fraction": asked})
+    assert made.values.mean() == pytest.approx(asked, abs=1e-4)
+    assert tb.measure.coherence(piece, made, k=(4,), samples=200)[4] < 0.2
+    thickness = tb.measure.thickness(made) / tb.measure.thickness(piece)
+    assert thickness == pytest.approx(1, abs=0.15)  # more struts rather than thicker ones
+
+
+def test_other_fractions_leave_the_autocorrelation_as_it_is(bone):
+    model = tb.method("texture", levels=1, tries=0, sweeps=1).fit(tb.crop(bone, 24))
+    aims = model.aims[0]
+    (own,) = aims.histograms
+    assert np.allclose(
+        with_fractions(aims, (own,)).correlations.curves, aims.correlations.curves, atol=1e-12
+    )
+    more = Histogram.reweight(own, 1.5, 0.9)
+    moved = with_fractions(aims, (more,)).correlations
+    assert moved.curves.mean() > aims.correlations.curves.mean()
+
+    def autocorrelation(target, histogram):
+        mean, variance = histogram.moments(lambda values: soft_indicator(values, target.softness))
+        return (target.curves - mean**2) / variance
+
+    assert np.allclose(autocorrelation(moved, more), autocorrelation(aims.correlations, own))

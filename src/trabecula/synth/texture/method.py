@@ -306,7 +306,15 @@ class TextureModel(Model):
 
     def _novel_rounds(self, request: Request) -> novel_layout.NovelRounds:
         schedule = novel_layout.passes(self.novelty, self.top, self.config.layout)
-        return novel_layout.NovelRounds(self.aims, self.slices, schedule, request, self.config)
+        aims = self.aims
+        if request.target:
+            aims = [
+                novel_layout.with_fractions(
+                    one, self.content.target_histograms(one.histograms, request)
+                )
+                for one in aims
+            ]
+        return novel_layout.NovelRounds(aims, self.slices, schedule, request, self.config)
 
     def _fractions(self, request: Request, count: int) -> list[np.ndarray]:
         """Return the target's volume fractions on each level; empty where there is none."""
@@ -317,13 +325,14 @@ class TextureModel(Model):
 
     def _makes_new(self, request: Request) -> bool:
         """Return whether there is room to lay out something new; beside known voxels neighbourhoods
-        have to fit them.
+        have to fit them, and a field of porosities has to hold around every place.
         """
+        whole = self.config.layout == "structure" and not any(map(np.ndim, request.target.values()))
         top = self.top if self.painted is None else self.painted.structure.top
         return (
             top > 0
             and request.fixed is None
-            and not request.target
+            and (whole or not request.target)
             and novel_layout.has_room(request.shape, top)
         )
 

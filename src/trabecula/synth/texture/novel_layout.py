@@ -38,7 +38,11 @@ from trabecula.synth.shared.statistics.long_waves import (
 from trabecula.synth.shared.statistics.pairs import AXES, DIAGONAL
 from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods, transport_stages
 from trabecula.synth.shared.statistics.slices import SliceTarget, slice_target
-from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
+from trabecula.synth.shared.statistics.two_point import (
+    Correlations,
+    correlations_at,
+    soft_indicator,
+)
 from trabecula.synth.shared.statistics.two_point_steps import (
     accumulate_debt,
     step_stages,
@@ -91,6 +95,7 @@ class Aims:
     """Targets of one level, learnt from the exemplars."""
 
     stack: Stack
+    histograms: tuple[Histogram, ...]
     correlations: Correlations
     candidates: tuple[Candidates, ...]  # one per pass on this level
 
@@ -174,7 +179,24 @@ def aims_of(
         for p in schedule
         if p.level == level
     ]
-    return Aims(stack, correlations, tuple(made))
+    return Aims(stack, stack.histograms, correlations, tuple(made))
+
+
+def with_fractions(aims: Aims, histograms: tuple[Histogram, ...]) -> Aims:
+    """Return the targets of one level for other volume fractions, which these histograms of the
+    field have: the autocorrelation stays, so that the two-point function moves with mean and
+    variance of the soft indicator.
+    """
+    target = aims.correlations
+    curves = np.empty_like(target.curves)
+    for c, (own, wanted) in enumerate(zip(aims.histograms, histograms, strict=True)):
+        (mean, variance), (new_mean, new_variance) = (
+            histogram.moments(lambda values: soft_indicator(values, target.softness))
+            for histogram in (own, wanted)
+        )
+        share = new_variance / max(variance, 1e-30)
+        curves[c] = new_mean**2 + (target.curves[c] - mean**2) * share
+    return replace(aims, histograms=histograms, correlations=replace(target, curves=curves))
 
 
 def slices_for(fields: Sequence[np.ndarray]) -> SliceTarget:
@@ -277,7 +299,11 @@ class NovelRounds(CoarseToFine[Any]):
             part.rounds,
             number,
             part,
-            Grid.over(self.regions[part.level], self.candidates[number]),
+            Grid.over(
+                self.regions[part.level],
+                self.candidates[number],
+                self.aims[part.level].histograms,
+            ),
             self.aims[part.level].correlations,
             key(self.request.seed, f"novel/pass {number}"),
             number == len(self.schedule) - 1,
@@ -321,7 +347,7 @@ class NovelRounds(CoarseToFine[Any]):
         """Start from noise, or refine the field and start from random matches."""
         work, self.debt = self.work, None
         if isinstance(stage, NovelLayoutStage):
-            shape = (len(stage.aims.stack.histograms), *stage.region.shape)
+            shape = (len(stage.aims.histograms), *stage.region.shape)
             work.enter("match")
             work.adopt("votes", noise(shape, int(key(self.request.seed, "novel/noise"))))
             self._make_votes(stage)
@@ -340,7 +366,7 @@ class NovelRounds(CoarseToFine[Any]):
     def _make_votes(self, stage: NovelLayoutStage) -> None:
         """Make the votes those of the field that they make."""
         work = self.work
-        self.match_field(stage.region, stage.aims.stack.histograms)
+        self.match_field(stage.region, stage.aims.histograms)
         work.release("votes")
         work.adopt("votes", votes_of(work["field"]))
 
@@ -353,7 +379,7 @@ class NovelRounds(CoarseToFine[Any]):
 
     def _lay_out(self, stage: NovelLayoutStage, number: int) -> None:
         """Do a sliced round, and a step on the two-point function after every few of them."""
-        work, target, histograms = self.work, stage.aims.correlations, stage.aims.stack.histograms
+        work, target, histograms = self.work, stage.aims.correlations, stage.aims.histograms
         work.enter("transport")
         work.adopt(
             "moved",
