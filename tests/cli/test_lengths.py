@@ -184,10 +184,47 @@ def test_the_form_comes_from_the_recipe_or_from_mask(place):
     assert "other voxels than recorded" in refused(
         "finish", "made.zarr", "--connect", "--mask", "full.tif", "--out", "y.zarr"
     )
-    assert "--mask is the form for --prune and --connect" in refused(
-        "finish", "made.zarr", "--fill", "--mask", "moved.tif", "--out", "y.zarr"
+    assert (
+        "--mask is the form for --prune, --crust, --connect, --smooth, --thicken and --fill"
+        in refused("finish", "made.zarr", "--floaters", "--mask", "moved.tif", "--out", "y.zarr")
     )
     # A volume of another program, which tells nothing of how it was made.
     tb.write(tb.Image(tb.read("made.zarr").values, "labels"), "plain.nrrd")
     trabecula("finish", "plain.nrrd", "--connect", "--mask", "moved.tif", "--out", "other.zarr")
     assert np.array_equal(tb.read("other.zarr").values, part.values)
+
+
+@pytest.mark.whole
+def test_a_crust_is_of_the_form_that_the_recipe_names(place):
+    grid = np.indices((26, 26, 26)) - 12.5
+    form = (grid**2).sum(axis=0) < 12**2
+    tb.write(form.astype(np.uint8), "ball.tif")
+    trabecula("generate", "scan.zarr", "--mask", "ball.tif", *SMALL, "--out", "made.zarr")
+    words = ("--crust", 80, "--connect", "--smooth", 30, "--thicken", 90)
+    trabecula("finish", "made.zarr", *words, "--out", "part.zarr")
+    part, made = tb.read("part.zarr"), tb.read("made.zarr")
+    steps = part.recipe.steps[-4:]
+    assert [step["operation"] for step in steps] == ["add_crust", "connect", "smooth", "thicken"]
+    assert all(step["mask"][0]["source"] == "ball.tif" for step in steps)
+    whole = tb.finish.add_crust(made, thickness=80, mask=form)
+    assert whole.recipe.steps[-1]["sha256"] == steps[0]["sha256"]
+    assert not part.values[~form].any()
+    assert trabecula("rerun", "part.zarr").sha256 == steps[-1]["sha256"]
+
+
+@pytest.mark.whole
+def test_a_tile_stays_a_tile(place):
+    words = ("--periodic", "y", "x", *SMALL, "--shape", 20, 24, 28)
+    trabecula("generate", "scan.zarr", *words, "--out", "tile.zarr")
+    told = trabecula("finish", "tile.zarr", "--smooth", 40, "--out", "flat.zarr")
+    assert any("--periodic finishes it so" in line for line in told.lines)
+    words = ("--smooth", 40, "--connect", "--prune", "--periodic", "y", "x")
+    told = trabecula("finish", "tile.zarr", *words, "--out", "part.zarr")
+    assert not any("--periodic" in line for line in told.lines)
+    part, image = tb.read("part.zarr"), tb.read("tile.zarr")
+    axes = (False, True, True)
+    image = tb.finish.connect(tb.finish.prune(image, periodic=axes), periodic=axes)
+    assert np.array_equal(part.values, tb.finish.smooth(image, sigma=40, periodic=axes).values)
+    step = part.recipe.steps[-1]
+    assert step["settings"]["periodic"] == [False, True, True]
+    assert trabecula("rerun", "part.zarr").sha256 == step["sha256"]

@@ -365,7 +365,10 @@ def test_finish_does_its_operations_in_one_order(place):
     printed = trabecula("finish", "scan.zarr", *words, "--out", "part.zarr").out
     part = tb.read("part.zarr")
     done = [step for step in part.recipe.steps if step["verb"] == "finish"]
-    assert [step["operation"] for step in done] == list(OPERATIONS)
+    # A crust closes what --fill fills: both are refused together.
+    assert [step["operation"] for step in done] == [
+        name for name in OPERATIONS if name != "add_crust"
+    ]
     assert [done[2]["settings"]["sigma"], done[3]["settings"]["thickness"]] == [45, 90]
     image = tb.read("scan.zarr")
     other = tb.read("other.zarr")
@@ -398,6 +401,8 @@ def test_finish_does_its_operations_in_one_order(place):
         (("--smooth", 0), "sigma 0 smooths nothing"),
         (("--thicken", -3), "thickness=-3.0 is outside"),
         (("--thicken", "nan"), "thickness=nan is outside"),
+        (("--crust", 10), "a crust of 10 is thinner than a voxel of 40 um"),
+        (("--crust", 80, "--fill"), "--fill would fill the whole form"),
         (("--prune", "--like", "missing.zarr"), "there is no file missing.zarr"),
     ],
 )

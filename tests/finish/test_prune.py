@@ -244,7 +244,7 @@ def test_the_recipe_replays():
     assert (
         step["verb"] == "finish"
         and step["operation"] == "prune"
-        and step["settings"] == {"phase": None, "theta": 0.2}
+        and step["settings"] == {"phase": None, "theta": 0.2, "periodic": False}
     )
     assert step["exemplars"][0][0]["verb"] == "array"
     assert prune(with_stub(5), exemplar=exemplar, **step["settings"]).recipe.steps[-1] == step

@@ -6,6 +6,7 @@ import pytest
 import trabecula as tb
 
 OPERATIONS = {
+    "add_crust": {"thickness": 2},
     "connect": {},
     "remove_floaters": {},
     "fill_trapped": {},

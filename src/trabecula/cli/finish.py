@@ -34,8 +34,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mask",
         metavar="FILE",
-        help="for --prune and --connect: the form that the volume fills, a surface or a volume "
+        help=f"for {_flags_with_mask()}: the form that the volume fills, a surface or a volume "
         "(default: what its recipe names)",
+    )
+    parser.add_argument(
+        "--periodic",
+        nargs="*",
+        metavar="AXIS",
+        help="the volume repeats along z, y, x (no word: all of them), and so does what is done",
     )
     for operation in OPERATIONS.values():
         if operation.more:
@@ -60,6 +66,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _flags_with_mask() -> str:
+    """Return the options of the operations that take a form, as a text."""
+    from trabecula.finish import OPERATIONS
+
+    flags = [one.option.flag for one in OPERATIONS.values() if "mask" in one.inputs]
+    return f"{', '.join(flags[:-1])} and {flags[-1]}"
+
+
+def _takes_mask(options: argparse.Namespace) -> bool:
+    """Return whether an operation was chosen that takes a form."""
+    from trabecula.finish import OPERATIONS
+
+    return any(
+        "mask" in operation.inputs and getattr(options, operation.option.name)
+        for operation in OPERATIONS.values()
+    )
+
+
 def _add_option(group: argparse._ArgumentGroup, option: Option) -> None:
     """Add an option of an operation: a switch, or one with a value."""
     if option.setting is None:
@@ -75,8 +99,12 @@ def run(options: argparse.Namespace) -> int:
 
     if options.like is not None and not options.prune:
         raise InputError("--like is the exemplar for --prune: give --prune as well")
-    if options.mask is not None and not (options.prune or options.connect):
-        raise InputError("--mask is the form for --prune and --connect: give one of them as well")
+    if options.mask is not None and not _takes_mask(options):
+        raise InputError(f"--mask is the form for {_flags_with_mask()}: give one of them as well")
+    if options.crust is not None and options.fill:
+        raise InputError(
+            "--fill would fill the whole form, which --crust closes: leave one of them out"
+        )
     for operation in OPERATIONS.values():
         flag, chosen = operation.option.flag, getattr(options, operation.option.name)
         for option in operation.more:
@@ -122,11 +150,26 @@ def _in_core(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, S
     if form is not None:
         images["mask"] = form
     part = with_lengths(part, scale=scale)
+    periodic = _periodic(part, options)
     for name, settings in steps:
         inputs = {key: images[key] for key in OPERATIONS[name].inputs if key in images}
+        if any(periodic) and "periodic" in OPERATIONS[name].complete({}):
+            inputs["periodic"] = periodic
         part = OPERATIONS[name](part, phase=options.phase, **settings, **inputs)
     write(part, options.out)
     return repr(part), part.recipe.steps[-len(steps) :]
+
+
+def _periodic(part: Any, options: argparse.Namespace) -> tuple[bool, ...]:
+    """Return the axes that are periodic; report where the recipe names some and no option does."""
+    from trabecula.finish import periodic_axes
+
+    if options.periodic is None and any(periodic_axes(part.recipe)):
+        notify(
+            f"{options.file} repeats beyond its faces, which its recipe names: --periodic finishes "
+            "it so that it still does, else it is finished as one part"
+        )
+    return shared.periodic(options.periodic)[3 - part.ndim :]
 
 
 def _form(part: Any, options: argparse.Namespace) -> Any:
@@ -138,7 +181,7 @@ def _form(part: Any, options: argparse.Namespace) -> Any:
     from trabecula.pipeline.inputs import load_mask
     from trabecula.pipeline.replay import form_of
 
-    if not (options.prune or options.connect) or options.level:
+    if not _takes_mask(options) or options.level:
         return None if options.mask is None else load_mask(options.mask, part, shape=part.shape)
     folder = location_of(options.file).folder
     if options.mask is not None:
@@ -155,8 +198,8 @@ def _form(part: Any, options: argparse.Namespace) -> Any:
         return None
     if form is not None:
         notify(
-            f"{options.file} fills a form, which its recipe names: joins stay inside, and free "
-            "ends are counted per volume of it"
+            f"{options.file} fills a form, which its recipe names: nothing is added outside of "
+            "it, and free ends are counted per volume of it"
         )
     return form
 
@@ -203,8 +246,11 @@ def _in_slabs(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, 
     from trabecula.io.lengths import with_lengths
 
     notify(f"{options.file} does not fit into memory as a whole: it is finished slab by slab")
-    if options.mask is not None:
-        raise InputError("--mask needs the whole volume in memory: leave it out, or raise --memory")
+    for flag, value in (("--mask", options.mask), ("--periodic", options.periodic)):
+        if value is not None:
+            raise InputError(
+                f"{flag} needs the whole volume in memory: leave it out, or raise --memory"
+            )
     given = shared.lengths(options)
     scale = given.pop("scale")
     volume = with_lengths(

@@ -5,8 +5,9 @@ Every operation adds a step to the recipe; `trapped` and `print_check` change no
 
 from trabecula.finish.closed_pores import fill_trapped, trapped
 from trabecula.finish.connect import connect
+from trabecula.finish.crust import add_crust
 from trabecula.finish.floaters import remove_floaters
-from trabecula.finish.forms import mask_steps
+from trabecula.finish.forms import mask_steps, periodic_axes
 from trabecula.finish.operations import OPERATIONS
 from trabecula.finish.printing import PrintCheck, print_check
 from trabecula.finish.prune import prune
@@ -17,10 +18,12 @@ from trabecula.finish.thicken import thicken
 __all__ = [
     "OPERATIONS",
     "PrintCheck",
+    "add_crust",
     "connect",
     "fill_trapped",
     "finish_slabs",
     "mask_steps",
+    "periodic_axes",
     "print_check",
     "prune",
     "remove_floaters",

@@ -65,7 +65,6 @@ def grow(
     if not _makes_loop(space, new):
         return none
     space.owner.reshape(-1)[new] = end.branch
-    space.added.append(space.places(new))
     return new
 
 

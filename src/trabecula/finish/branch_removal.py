@@ -94,6 +94,12 @@ class Territories:
         held = ~free & (places[found] != beside)
         return float(held.sum(axis=0) @ area), float(free.sum(axis=0) @ area)
 
+    def write(self, at: np.ndarray, *, grown: bool) -> None:
+        """Write voxels (n, 3) into `inside`: of a grown strut, or of one that is removed."""
+        self.inside[tuple(at.T)] = grown
+        if grown:
+            self.added.append(at)
+
     def cut(self, branch: int, tip: np.ndarray) -> np.ndarray:
         """Remove the branch's voxels from `inside`, those nearest to its tip first.
 

@@ -17,6 +17,8 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.finish.branch_removal import Territories
+from trabecula.finish.forms import depth_in_form
+from trabecula.finish.periodic import crop_margins
 from trabecula.measure.distance import distance_transform
 from trabecula.measure.skeleton import SkeletonGraph, skeleton_graph
 from trabecula.measure.skeleton.graph import END_JOINT, JOINT_JOINT
@@ -63,13 +65,16 @@ class Anatomy:
 
 
 def anatomy(
-    inside: np.ndarray, spacing: tuple[float, ...], form: np.ndarray | None = None
+    inside: np.ndarray,
+    spacing: tuple[float, ...],
+    form: np.ndarray | None = None,
+    margins: tuple[int, ...] | None = None,
 ) -> Anatomy:
     """Find skeleton, territories and free ends of a phase, a boolean array.
 
     Lengths are in the unit of `spacing`. Ends nearer to a face, or to the surface of a `form`
     (bool, same shape), than the mean thickness of the struts are not judged: a strut may be cut
-    there.
+    there. Nor are those in `margins`, voxels along every axis that repeat a periodic image.
     """
     graph = skeleton_graph(Image(inside, "labels", spacing=spacing))
     radius = distance_transform(inside, spacing=spacing)
@@ -77,7 +82,7 @@ def anatomy(
     territories = Territories(graph, inside, radius)
     girth = np.zeros(len(graph.joints))
     np.maximum.at(girth, graph.joint_of, radius[tuple(graph.joint_voxels.T)])
-    domain = _FilledDomain.of(inside.shape, spacing, form)
+    domain = _FilledDomain.of(inside.shape, spacing, form, margins or (0,) * inside.ndim)
     found = []
     for branch in np.flatnonzero(graph.kind == END_JOINT):
         if domain.depth(graph.path(branch)[0]) >= margin:
@@ -93,7 +98,10 @@ def anatomy(
 class _FilledDomain:
     """The domain that a phase fills: a box, or a form in it."""
 
-    sides: np.ndarray
+    margins: np.ndarray
+    """Voxels along every axis that repeat a periodic image, before and behind the box."""
+    shape: np.ndarray
+    """Voxels of the box."""
     spacing: np.ndarray
     deep: np.ndarray | None
     """Depth of the centre of every voxel below the surface of a form, a face of a voxel or of the
@@ -102,30 +110,35 @@ class _FilledDomain:
 
     @classmethod
     def of(
-        cls, shape: tuple[int, ...], spacing: tuple[float, ...], form: np.ndarray | None
+        cls,
+        shape: tuple[int, ...],
+        spacing: tuple[float, ...],
+        form: np.ndarray | None,
+        margins: tuple[int, ...],
     ) -> _FilledDomain:
         """Return the domain of an image of this shape, or of a form in it."""
-        edge = np.array(spacing)
-        deep = None
-        if form is not None:
-            deep = (
-                distance_transform(np.pad(form, 1), spacing=spacing)[(slice(1, -1),) * form.ndim]
-                - min(spacing) / 2
-            )
-        return cls(np.array(shape) * edge, edge, deep)
+        around = np.array(margins)
+        deep = None if form is None else depth_in_form(form, spacing, (around > 0).tolist())
+        return cls(around, np.array(shape) - 2 * around, np.array(spacing), deep)
 
     def depth(self, voxel: np.ndarray) -> float:
-        """Return the depth of the centre of a voxel below the surface."""
+        """Return the depth of the centre of a voxel below the surface; -inf in the margins."""
+        at = voxel - self.margins
+        if (at < 0).any() or (at >= self.shape).any():
+            return -np.inf
         if self.deep is not None:
             return float(self.deep[tuple(voxel)])
-        centre = (voxel + 0.5) * self.spacing
-        return float(min(centre.min(), (self.sides - centre).min()))
+        centre = ((at + 0.5) * self.spacing)[self.margins == 0]
+        sides = (self.shape * self.spacing)[self.margins == 0]
+        return float(min(centre.min(initial=np.inf), (sides - centre).min(initial=np.inf)))
 
     def volume(self, margin: float) -> float:
         """Return the volume deeper than a margin."""
         if self.deep is not None:
-            return float(np.count_nonzero(self.deep >= margin) * np.prod(self.spacing))
-        return float(np.prod(np.maximum(self.sides - 2 * margin, 0)))
+            own = crop_margins(self.deep, self.margins.tolist())
+            return float(np.count_nonzero(own >= margin) * np.prod(self.spacing))
+        cut = 2 * margin * (self.margins == 0)
+        return float(np.prod(np.maximum(self.shape * self.spacing - cut, 0)))
 
     def cuts(self, space: Territories, places: np.ndarray) -> bool:
         """Return whether any voxel of a branch touches the surface."""

@@ -31,7 +31,7 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.chunking import Box, boxes_of, slices_of
-from trabecula.engine.compile import kernel
+from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import in_order, sum_slabs
 from trabecula.measure.runs import Runs
 from trabecula.measure.union_find import root_of
@@ -54,6 +54,7 @@ def cheapest_joins(
     worth: np.ndarray,
     background: int,
     inside: np.ndarray | None = None,
+    wraps: Sequence[bool] = (False, False, False),
 ) -> list[np.ndarray]:
     """Return paths that join components through the fewest background voxels, cheapest first.
 
@@ -68,19 +69,21 @@ def cheapest_joins(
         Label of the background.
     inside : (Z, Y, X) bool, optional
         Voxels that paths may run through. Default: all.
+    wraps : three bool
+        Paths continue at the opposite face.
 
     Returns
     -------
     paths : list of (n, 3) int64
         The first voxel is one of the smaller of two components, the others are open; the last one
-        touches the other component.
+        touches the other component. A path across a periodic face has voxels beyond it.
     """
     numbers = np.zeros(len(runs.sizes) + 1, np.int32)
     numbers[1:][worth] = np.arange(1, np.count_nonzero(worth) + 1)
     count = int(numbers.max())
     if count < 2:
         return []
-    open_to = _open_voxels(values, runs, worth, background, inside)
+    open_to, around = _open_voxels(values, runs, worth, background, inside), np.array(wraps)
     owner = memmap.zeros(values.shape, np.uint16 if count < 2**16 else np.int32)
     far = memmap.empty(values.shape, np.uint16)
     seeds = (runs.first, runs.begin, runs.end, runs.label, numbers, owner, far)
@@ -88,11 +91,12 @@ def cheapest_joins(
     held = int(runs.sizes[worth].sum()) + sum_slabs(
         lambda a, b: np.count_nonzero(open_to[a:b]), len(values)
     )
-    _spread_owners(owner, far, open_to, again=held < values.size)
+    again = held < values.size or bool(around.any())
+    _spread_owners(owner, far, open_to, around, again=again)
     sizes = np.concatenate([[0], runs.sizes[worth]])
     found = [
-        _straighten(_follow(owner, far, place, axis, sizes), open_to)
-        for place, axis in _tree(owner, far, count)
+        _straighten(_follow(owner, far, place, axis, sizes, around), open_to)
+        for place, axis in _tree(owner, far, count, around)
     ]
     return sorted(found, key=len)
 
@@ -117,21 +121,25 @@ def _open_voxels(
     return free
 
 
-def _spread_owners(owner: np.ndarray, far: np.ndarray, open_to: np.ndarray, *, again: bool) -> None:
+def _spread_owners(
+    owner: np.ndarray, far: np.ndarray, open_to: np.ndarray, wraps: np.ndarray, *, again: bool
+) -> None:
     """Write the nearest component and the distance to it into every open voxel.
 
-    Where no voxel is closed, a shortest path never turns back along an axis, and one sweep in each
-    direction finds all of them; else the two are repeated (`again`) until nothing changes.
+    Where no voxel is closed and no axis periodic, a shortest path never turns back along an axis,
+    and one sweep in each direction finds all of them; else the two are repeated (`again`) until
+    nothing changes.
     """
     depth, changed = len(owner), [True]
     while changed[0]:
         changed[0] = False
 
         def forward(start: int, stop: int) -> None:
-            changed[0] |= bool(_sweep(owner, far, open_to, 1, start, stop))
+            changed[0] |= bool(_sweep(owner, far, open_to, wraps, 1, start, stop))
 
         def backward(start: int, stop: int) -> None:
-            changed[0] |= bool(_sweep(owner, far, open_to, -1, depth - stop, depth - start))
+            first, last = depth - stop, depth - start
+            changed[0] |= bool(_sweep(owner, far, open_to, wraps, -1, first, last))
 
         in_order(forward, depth)
         in_order(backward, depth)
@@ -139,7 +147,9 @@ def _spread_owners(owner: np.ndarray, far: np.ndarray, open_to: np.ndarray, *, a
             return
 
 
-def _tree(owner: np.ndarray, far: np.ndarray, count: int) -> list[tuple[int, int]]:
+def _tree(
+    owner: np.ndarray, far: np.ndarray, count: int, wraps: np.ndarray
+) -> list[tuple[int, int]]:
     """Find the paths of the minimum spanning tree by Boruvka's rounds.
 
     Each is the flat index and the axis of the two neighbouring voxels at which its halves meet.
@@ -150,7 +160,7 @@ def _tree(owner: np.ndarray, far: np.ndarray, count: int) -> list[tuple[int, int
         cost = np.full(count + 1, 2 * NOWHERE, np.int64)
         place = np.full(count + 1, -1, np.int64)
         axis = np.zeros(count + 1, np.int64)
-        in_order(partial(_cheapest, owner, far, parent, cost, place, axis), len(owner))
+        in_order(partial(_cheapest, owner, far, wraps, parent, cost, place, axis), len(owner))
         before = len(paths)
         # Paths have a strict order (cost, then place and axis), so that no ring closes; two trees
         # may name the same path.
@@ -162,16 +172,23 @@ def _tree(owner: np.ndarray, far: np.ndarray, count: int) -> list[tuple[int, int
 
 
 def _follow(
-    owner: np.ndarray, far: np.ndarray, place: int, axis: int, sizes: np.ndarray
+    owner: np.ndarray, far: np.ndarray, place: int, axis: int, sizes: np.ndarray, wraps: np.ndarray
 ) -> np.ndarray:
-    """Return a path from a voxel of the smaller of its two components to one of the larger."""
+    """Return a path from a voxel of the smaller of its two components to one of the larger.
+
+    Beyond a periodic face its voxels go on: they are not taken back to the opposite one.
+    """
     here = np.array(np.unravel_index(place, owner.shape), np.int64)
     there = here.copy()
-    there[axis] += 1
+    there[axis] = (there[axis] + 1) % owner.shape[axis]
     if sizes[owner[tuple(here)]] > sizes[owner[tuple(there)]]:
         here, there = there, here
-    first, last = _descend(owner, far, here), _descend(owner, far, there)
-    return np.concatenate([first[::-1], last])
+    first, last = _descend(owner, far, wraps, here), _descend(owner, far, wraps, there)
+    path = np.concatenate([first[::-1], last])
+    steps = np.diff(path, axis=0)
+    across = np.abs(steps) > 1  # from one face to the opposite one
+    steps[across] -= (np.sign(steps) * owner.shape)[across]
+    return np.concatenate([path[:1], path[0] + np.cumsum(steps, axis=0)])
 
 
 def _straighten(path: np.ndarray, open_to: np.ndarray) -> np.ndarray:
@@ -190,7 +207,7 @@ def _straighten(path: np.ndarray, open_to: np.ndarray) -> np.ndarray:
         lag[axis] -= 1
         line[n] = line[n - 1]
         line[n, axis] += np.sign(apart[axis])
-    return line if open_to[tuple(line[1:].T)].all() else path[:-1]
+    return line if open_to[tuple((line[1:] % open_to.shape).T)].all() else path[:-1]
 
 
 @kernel
@@ -207,8 +224,20 @@ def _seed(first, begin, end, label, numbers, owner, far, start, stop):
                 far[z, y, begin[k] : end[k]] = 0
 
 
+@inline
+def _step_to(place, side, wraps):
+    """Return a neighbour's place along an axis, beyond a periodic face the opposite one; else -1
+    beyond a face.
+    """
+    if place < 0:
+        return side - 1 if wraps else -1
+    if place == side:
+        return 0 if wraps else -1
+    return place
+
+
 @kernel
-def _sweep(owner, far, open_to, way, start, stop):
+def _sweep(owner, far, open_to, wraps, way, start, stop):
     """Propagate owners in raster order (way 1) or against it (-1); return whether any changed."""
     depth, height, width = owner.shape
     changed = False
@@ -223,12 +252,15 @@ def _sweep(owner, far, open_to, way, start, stop):
                 best = np.int64(far[z, y, x])
                 number = np.int64(owner[z, y, x])
                 before = best
-                if 0 <= z - way < depth and far[z - way, y, x] < best - 1:
-                    best, number = np.int64(far[z - way, y, x]) + 1, np.int64(owner[z - way, y, x])
-                if 0 <= y - way < height and far[z, y - way, x] < best - 1:
-                    best, number = np.int64(far[z, y - way, x]) + 1, np.int64(owner[z, y - way, x])
-                if 0 <= x - way < width and far[z, y, x - way] < best - 1:
-                    best, number = np.int64(far[z, y, x - way]) + 1, np.int64(owner[z, y, x - way])
+                c = _step_to(z - way, depth, wraps[0])
+                b = _step_to(y - way, height, wraps[1])
+                a = _step_to(x - way, width, wraps[2])
+                if c >= 0 and far[c, y, x] < best - 1:
+                    best, number = np.int64(far[c, y, x]) + 1, np.int64(owner[c, y, x])
+                if b >= 0 and far[z, b, x] < best - 1:
+                    best, number = np.int64(far[z, b, x]) + 1, np.int64(owner[z, b, x])
+                if a >= 0 and far[z, y, a] < best - 1:
+                    best, number = np.int64(far[z, y, a]) + 1, np.int64(owner[z, y, a])
                 if best < before:
                     far[z, y, x] = best
                     owner[z, y, x] = number
@@ -237,7 +269,7 @@ def _sweep(owner, far, open_to, way, start, stop):
 
 
 @kernel
-def _cheapest(owner, far, parent, cost, place, axis, start, stop):
+def _cheapest(owner, far, wraps, parent, cost, place, axis, start, stop):
     """Find, for every tree of components, the first of the cheapest paths to another tree."""
     depth, height, width = owner.shape
     for z in range(start, stop):
@@ -247,8 +279,10 @@ def _cheapest(owner, far, parent, cost, place, axis, start, stop):
                 if here == 0:
                     continue
                 for step in range(3):
-                    k, j, i = z + (step == 0), y + (step == 1), x + (step == 2)
-                    if k == depth or j == height or i == width:
+                    k = _step_to(z + (step == 0), depth, wraps[0])
+                    j = _step_to(y + (step == 1), height, wraps[1])
+                    i = _step_to(x + (step == 2), width, wraps[2])
+                    if k < 0 or j < 0 or i < 0:
                         continue
                     there = owner[k, j, i]
                     if there == 0 or there == here:
@@ -267,16 +301,16 @@ def _cheapest(owner, far, parent, cost, place, axis, start, stop):
 @kernel
 def _unite(owner, parent, place, axis):
     """Join the trees on both sides of a meeting place; return whether they were two."""
-    height, width = owner.shape[1:]
+    depth, height, width = owner.shape
     z, y, x = place // (height * width), place // width % height, place % width
-    k, j, i = z + (axis == 0), y + (axis == 1), x + (axis == 2)
+    k, j, i = (z + (axis == 0)) % depth, (y + (axis == 1)) % height, (x + (axis == 2)) % width
     a, b = root_of(parent, owner[z, y, x]), root_of(parent, owner[k, j, i])
     parent[max(a, b)] = min(a, b)
     return a != b
 
 
 @kernel
-def _descend(owner, far, voxel):
+def _descend(owner, far, wraps, voxel):
     """Follow the distance down from `voxel` to its component; return the voxels (n, 3)."""
     length = np.int64(far[voxel[0], voxel[1], voxel[2]])
     path = np.empty((length + 1, 3), np.int64)
@@ -285,8 +319,10 @@ def _descend(owner, far, voxel):
         z, y, x = path[n - 1]
         for side in range(6):
             step, axis = 2 * (side % 2) - 1, side // 2
-            k, j, i = z + step * (axis == 0), y + step * (axis == 1), x + step * (axis == 2)
-            if not (0 <= k < far.shape[0] and 0 <= j < far.shape[1] and 0 <= i < far.shape[2]):
+            k = _step_to(z + step * (axis == 0), far.shape[0], wraps[0])
+            j = _step_to(y + step * (axis == 1), far.shape[1], wraps[1])
+            i = _step_to(x + step * (axis == 2), far.shape[2], wraps[2])
+            if k < 0 or j < 0 or i < 0:
                 continue
             if far[k, j, i] == length - n and owner[k, j, i] == owner[z, y, x]:
                 path[n, 0], path[n, 1], path[n, 2] = k, j, i

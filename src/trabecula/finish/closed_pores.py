@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.parallel import in_order
+from trabecula.finish.forms import as_form, form_recipe
 from trabecula.finish.labels import background_of, lift, relabel, with_step
 from trabecula.measure.labelling import label_components
 from trabecula.measure.phases import as_connectivity, indicator, members
@@ -71,7 +72,11 @@ def trapped(
 
 
 def fill_trapped(
-    image: Image | ArrayLike, *, phase: str | int | None = None, connectivity: int | None = None
+    image: Image | ArrayLike,
+    *,
+    phase: str | int | None = None,
+    connectivity: int | None = None,
+    mask: Image | ArrayLike | None = None,
 ) -> Image:
     """Fill the pores that do not reach a face of the image.
 
@@ -79,6 +84,9 @@ def fill_trapped(
     ----------
     image, phase, connectivity
         As for `trapped`.
+    mask : Image of labels or (Z, Y, X) bool array, optional
+        The form that the image fills (as `Request.mask`): what reaches outside of it is no closed
+        pore, such as the cavity of a hollow form.
 
     Returns
     -------
@@ -89,31 +97,41 @@ def fill_trapped(
     Raises
     ------
     InputError
-        As `trapped`.
+        As `trapped`; a mask of another shape.
     """
     image = as_image(image)
     background = background_of(image, phase)
+    form = as_form(mask, image.shape)
     values = np.array(image.values, order="C")
     settings: dict[str, Any] = {"phase": phase, "connectivity": connectivity}
     if len(_labels_present(lift(values), image, phase)) <= 1:
-        report = fill_trapped_in_place(lift(values), image, **settings)
+        inside = None if form is None else lift(form)
+        report = fill_trapped_in_place(lift(values), image, **settings, inside=inside)
     else:
         pores = _pores(image, phase, connectivity)
+        if form is not None:
+            pores.closed[_numbers_outside(pores.labels, form)] = False
         after = pores.inside | np.concatenate([[False], pores.closed])[pores.labels]
         values = relabel(image, pores.inside, after, background)
         report = {
             "filled_pores": np.count_nonzero(pores.closed),
             "filled": int(pores.sizes[pores.closed].sum()),
         }
-    return with_step(image, values, "fill_trapped", settings, report)
+    return with_step(image, values, "fill_trapped", settings, report, **form_recipe(mask))
 
 
 def fill_trapped_in_place(
-    values: np.ndarray, image: Image, *, phase: str | int | None, connectivity: int | None
+    values: np.ndarray,
+    image: Image,
+    *,
+    phase: str | int | None,
+    connectivity: int | None,
+    inside: np.ndarray | None = None,
 ) -> dict[str, int]:
     """Fill the closed pores of labels (Z, Y, X) in place; return the report.
 
     The settings are those of `fill_trapped`; `image` names the phases, its values are not read.
+    `inside` (bool, same shape) marks the form.
 
     Raises
     ------
@@ -131,9 +149,17 @@ def fill_trapped_in_place(
     void = np.arange(256) == background
     runs = runs_of(values, void, as_connectivity(connectivity, image.ndim))
     closed = ~runs.at_faces(tuple(range(3 - image.ndim, 3)))
+    if inside is not None:
+        closed[_numbers_outside(runs.labels(), inside)] = False
     if len(labels):
         runs.write(values, closed, int(labels[0]))
     return {"filled_pores": int(np.count_nonzero(closed)), "filled": int(runs.sizes[closed].sum())}
+
+
+def _numbers_outside(labels: np.ndarray, form: np.ndarray) -> np.ndarray:
+    """Return the components that reach outside of a form, counted from 0."""
+    found = np.unique(labels[~form])
+    return found[found > 0] - 1
 
 
 def _labels_present(values: np.ndarray, image: Image, phase: str | int | None) -> np.ndarray:

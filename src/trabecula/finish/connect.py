@@ -14,6 +14,7 @@ three are needed. They are memory-mapped where the result is (see `finish.slabs`
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,13 @@ from trabecula.engine.parallel import sum_slabs
 from trabecula.finish.bridges import cheapest_joins, shortest_join
 from trabecula.finish.forms import as_form, form_recipe
 from trabecula.finish.labels import background_of, check_present, lift, with_step
-from trabecula.measure.phases import as_connectivity, members
+from trabecula.finish.periodic import (
+    joined_across,
+    material_origin,
+    periodic_setting,
+    roll_by,
+)
+from trabecula.measure.phases import as_connectivity, as_periodic, members
 from trabecula.measure.runs import Runs, runs_of
 
 _SOME = 32
@@ -55,6 +62,7 @@ def connect(
     connectivity: int | None = None,
     unjoined: str | None = None,
     mask: Image | ArrayLike | None = None,
+    periodic: bool | Sequence[bool] = False,
 ) -> Image:
     """Connect a phase: join every component larger than a speck, discard the specks.
 
@@ -80,6 +88,9 @@ def connect(
         "keep".
     mask : Image of labels or (Z, Y, X) bool array, optional
         The form that the image fills (as `Request.mask`): joins run inside it.
+    periodic : bool or one per axis
+        The image continues at the opposite face: components that meet there are one, and joins run
+        across it. A reach then limits the joins of the spanning tree.
 
     Returns
     -------
@@ -112,7 +123,12 @@ def connect(
     (1, 20, 80, 1, 0)
     """
     image = as_image(image)
-    values = np.array(image.values, order="C")  # a copy: the caller's array stays as it is
+    wraps = as_periodic(periodic, image.ndim)
+    form = as_form(mask, image.shape)
+    origin = material_origin(image.values, wraps)
+    back = [-step for step in origin]
+    values = np.array(roll_by(image.values, back), order="C")  # a copy: the caller's array stays
+    inside = None if form is None else lift(roll_by(form, back))
     settings: dict[str, Any] = {
         "phase": phase,
         "reach": reach,
@@ -120,11 +136,10 @@ def connect(
         "min_size": min_size,
         "connectivity": connectivity,
         "unjoined": unjoined,
+        "periodic": periodic_setting(wraps),
     }
-    form = as_form(mask, image.shape)
-    report = connect_in_place(
-        lift(values), image, **settings, inside=None if form is None else lift(form)
-    )
+    report = connect_in_place(lift(values), image, **settings, inside=inside)
+    values = roll_by(values, origin)
     return with_step(image, values, "connect", settings, report, **form_recipe(mask))
 
 
@@ -138,6 +153,7 @@ def connect_in_place(
     min_size: int | None,
     connectivity: int | None,
     unjoined: str | None,
+    periodic: bool | Sequence[bool],
     inside: np.ndarray | None = None,
 ) -> dict[str, int]:
     """Connect a phase within labels (Z, Y, X) in place; return the report.
@@ -149,16 +165,16 @@ def connect_in_place(
     unjoined = ("keep" if reach is None else "remove") if unjoined is None else unjoined
     check_name(unjoined, UNJOINED, name="treatment of unjoined components")
     neighbours = as_connectivity(connectivity, image.ndim)
-    runs = _runs(values, member, neighbours, phase)
+    wraps = (False,) * (3 - image.ndim) + as_periodic(periodic, image.ndim)
+    again = (member, neighbours, wraps, phase)
+    runs = _runs(values, *again)
     whole = int(runs.sizes.sum())
     least = _speck_size(values, member, whole) if min_size is None else min_size
-    if reach is None:
-        found = _join_all(values, runs, background, (brush, least), inside)
-        runs = _runs(values, member, neighbours, phase) if found["joins"] else runs
+    if reach is None or any(wraps):
+        found = _join_all(values, runs, background, (reach, brush, least), inside, wraps)
+        runs = _runs(values, *again) if found["joins"] else runs
     else:
-        found, runs = _join_near(
-            values, runs, background, (reach, brush, least), inside, (member, neighbours, phase)
-        )
+        found, runs = _join_near(values, runs, background, (reach, brush, least), inside, again)
     loose = np.arange(len(runs.sizes)) != np.argmax(runs.sizes)
     gone = loose & (runs.sizes < least) if unjoined == "keep" else loose
     runs.write(values, gone, background)
@@ -173,8 +189,14 @@ def connect_in_place(
     return found
 
 
-def _runs(values: np.ndarray, member: np.ndarray, neighbours: int, phase: str | int | None) -> Runs:
-    runs = runs_of(values, member, neighbours)
+def _runs(
+    values: np.ndarray,
+    member: np.ndarray,
+    neighbours: int,
+    wraps: tuple[bool, ...],
+    phase: str | int | None,
+) -> Runs:
+    runs = joined_across(runs_of(values, member, neighbours), neighbours, wraps)
     check_present(len(runs.sizes) > 0, phase, "to connect")
     return runs
 
@@ -209,17 +231,24 @@ def _join_all(
     values: np.ndarray,
     runs: Runs,
     background: int,
-    settings: tuple[int, int],
+    settings: tuple[int | None, int, int],
     inside: np.ndarray | None,
+    wraps: tuple[bool, ...],
 ) -> dict[str, int]:
-    """Join all components but specks along a minimum spanning tree, in place; return the counts."""
-    brush, least = settings
+    """Join all components but specks along a minimum spanning tree, in place; return the counts.
+
+    Its joins longer than a reach are left out.
+    """
+    reach, brush, least = settings
     worth = runs.sizes >= least
     worth[np.argmax(runs.sizes)] = True
     filled = longest = 0
-    paths = cheapest_joins(values, runs, worth, background, inside)
+    paths = cheapest_joins(values, runs, worth, background, inside, wraps)
+    if reach is not None:
+        paths = [path for path in paths if len(path) - 1 <= reach]
+    around = np.array(wraps)
     for number, path in enumerate(paths):
-        filled += int(_fill(values, path, background, brush, _paintable(inside)))
+        filled += int(_fill(values, path, background, brush, _paintable(inside), around))
         longest = max(longest, len(path) - 1)
         if number % _SOME == 0:
             memmap.release_pages()
@@ -232,7 +261,7 @@ def _join_near(
     background: int,
     settings: tuple[int, int, int],
     inside: np.ndarray | None,
-    again: tuple[np.ndarray, int, str | int | None],
+    again: tuple[np.ndarray, int, tuple[bool, ...], str | int | None],
 ) -> tuple[dict[str, int], Runs]:
     """Join the components within reach of the largest one, in place, until none is within reach.
 
@@ -292,6 +321,7 @@ def _join_components(
         return 0, 0, 0
     worth = np.concatenate([[False], chosen])
     joins = filled = longest = 0
+    faces = np.zeros(3, bool)
     for number, (component, bounds) in enumerate(
         zip(np.flatnonzero(chosen) + 1, runs.boxes(chosen).tolist(), strict=True)
     ):
@@ -300,7 +330,7 @@ def _join_components(
         )
         if len(path):
             joins += 1
-            filled += int(_fill(values, path, background, brush, _paintable(inside)))
+            filled += int(_fill(values, path, background, brush, _paintable(inside), faces))
             longest = max(longest, len(path) - 1)
         if number % _SOME == 0:
             memmap.release_pages()
@@ -323,19 +353,28 @@ def _count_chords(values, member, start, stop):
 
 
 @kernel
-def _fill(values, path, background, brush, inside):
+def _fill(values, path, background, brush, inside, wraps):
     """Paint the path with a cube of side `brush` in the label of its first voxel.
 
-    Only background is painted over, and nothing outside of a form. Returns the voxels painted.
+    Only background is painted over, nothing outside of a form, and beyond a face only where it is
+    periodic. Returns the voxels painted.
     """
+    depth, height, width = values.shape
     label = values[path[0, 0], path[0, 1], path[0, 2]]
     before = (brush - 1) // 2
     filled = 0
     for n in range(1, len(path)):
         first = path[n] - before
-        for z in range(max(first[0], 0), min(first[0] + brush, values.shape[0])):
-            for y in range(max(first[1], 0), min(first[1] + brush, values.shape[1])):
-                for x in range(max(first[2], 0), min(first[2] + brush, values.shape[2])):
+        for c in range(first[0], first[0] + brush):
+            if not (wraps[0] or 0 <= c < depth):
+                continue
+            for b in range(first[1], first[1] + brush):
+                if not (wraps[1] or 0 <= b < height):
+                    continue
+                for a in range(first[2], first[2] + brush):
+                    if not (wraps[2] or 0 <= a < width):
+                        continue
+                    z, y, x = c % depth, b % height, a % width
                     if values[z, y, x] == background and (inside.size == 0 or inside[z, y, x]):
                         values[z, y, x] = label
                         filled += 1

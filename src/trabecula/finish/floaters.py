@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,8 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number
 from trabecula.core.image import Image, as_image
 from trabecula.finish.labels import background_of, check_present, lift, with_step
-from trabecula.measure.phases import as_connectivity, members
+from trabecula.finish.periodic import joined_across, periodic_setting
+from trabecula.measure.phases import as_connectivity, as_periodic, members
 from trabecula.measure.runs import runs_of
 
 
@@ -20,6 +22,7 @@ def remove_floaters(
     smaller_than: int | None = None,
     phase: str | int | None = None,
     connectivity: int | None = None,
+    periodic: bool | Sequence[bool] = False,
 ) -> Image:
     """Remove the components of a phase besides its largest one.
 
@@ -32,6 +35,8 @@ def remove_floaters(
         Default: "solid", which is every phase but "void" taken together.
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
         Neighbours of a voxel. Default: those that share a face.
+    periodic : bool or one per axis
+        Components that meet across opposite faces are one.
 
     Returns
     -------
@@ -57,6 +62,7 @@ def remove_floaters(
         "smaller_than": smaller_than,
         "phase": phase,
         "connectivity": connectivity,
+        "periodic": periodic_setting(as_periodic(periodic, image.ndim)),
     }
     report = remove_floaters_in_place(lift(values), image, **settings)
     return with_step(image, values, "remove_floaters", settings, report)
@@ -69,6 +75,7 @@ def remove_floaters_in_place(
     smaller_than: int | None,
     phase: str | int | None,
     connectivity: int | None,
+    periodic: bool | Sequence[bool],
 ) -> dict[str, int]:
     """Remove the floaters of labels (Z, Y, X) in place; return the report.
 
@@ -79,7 +86,9 @@ def remove_floaters_in_place(
             as_number(smaller_than, name="smaller_than", low=1, high=2**62, whole=True)
         )
     background, member = background_of(image, phase), members(image, phase)
-    runs = runs_of(values, member, as_connectivity(connectivity, image.ndim))
+    neighbours = as_connectivity(connectivity, image.ndim)
+    wraps = (False,) * (3 - image.ndim) + as_periodic(periodic, image.ndim)
+    runs = joined_across(runs_of(values, member, neighbours), neighbours, wraps)
     sizes = runs.sizes
     check_present(len(sizes) > 0, phase, "floats in it")
     floats = np.ones(len(sizes), bool) if smaller_than is None else sizes < smaller_than

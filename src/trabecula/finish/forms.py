@@ -12,6 +12,8 @@ from trabecula.core.checks import check_type
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
+from trabecula.finish.periodic import crop_margins
+from trabecula.measure.distance import distance_transform
 
 
 def as_form(mask: Image | ArrayLike | None, shape: Sequence[int]) -> np.ndarray | None:
@@ -46,6 +48,20 @@ def as_form(mask: Image | ArrayLike | None, shape: Sequence[int]) -> np.ndarray 
     return np.ascontiguousarray(inside)
 
 
+def depth_in_form(
+    form: np.ndarray, spacing: tuple[float, ...], wraps: Sequence[bool]
+) -> np.ndarray:
+    """Return the depth of the centres of voxels below the surface of a form, float32.
+
+    The surface is half the smallest edge before the nearest voxel outside; the faces of the image
+    belong to it where the axis is not periodic. Infinite where there is no surface.
+    """
+    margins = [int(not wrap) for wrap in wraps]
+    around = np.pad(form, [(margin, margin) for margin in margins])
+    depth = distance_transform(around, spacing=spacing, periodic=wraps)
+    return crop_margins(depth, margins) - np.float32(min(spacing) / 2)
+
+
 def form_recipe(mask: Image | ArrayLike | None) -> dict[str, Any]:
     """Return the entry of a recipe's step for a mask, its own recipe; empty where there is none."""
     if mask is None:
@@ -62,11 +78,25 @@ def fills_form(recipe: Recipe) -> bool:
 
 def mask_steps(recipe: Recipe) -> list[dict[str, Any]] | None:
     """Return the recipe of the form that an image fills, as JSON; None where it fills none."""
+    found = _request_of(recipe).get("mask")
+    return found if isinstance(found, list) else None
+
+
+def periodic_axes(recipe: Recipe) -> tuple[bool, ...]:
+    """Return for each axis if the image was generated to repeat along it; empty where it was not
+    generated.
+    """
+    return tuple(bool(wrap) for wrap in _request_of(recipe).get("periodic", ()))
+
+
+def _request_of(recipe: Recipe) -> dict[str, Any]:
+    """Return the request that the image of a recipe was generated for; empty where there is none,
+    or where the image was cropped since: its form would have to be cropped as well.
+    """
     check_type(recipe, Recipe, name="recipe", advice="an image has one (image.recipe)")
     for step in reversed(recipe.steps):
         if step["verb"] == "crop":
-            return None  # the form would have to be cropped as well
+            break
         if step["verb"] == "generate":
-            found = dict(step.get("request") or {}).get("mask")
-            return found if isinstance(found, list) else None
-    return None
+            return dict(step.get("request") or {})
+    return {}

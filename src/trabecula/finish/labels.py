@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -54,7 +54,13 @@ def lift(array: np.ndarray) -> np.ndarray:
     return array.reshape((1,) * (3 - array.ndim) + array.shape)
 
 
-def relabel(image: Image, before: np.ndarray, after: np.ndarray, background: int) -> np.ndarray:
+def relabel(
+    image: Image,
+    before: np.ndarray,
+    after: np.ndarray,
+    background: int,
+    wraps: Sequence[bool] | bool = False,
+) -> np.ndarray:
     """Return the labels of `image` after a phase has changed from `before` to `after`.
 
     A voxel that leaves the phase becomes `background`. A new one takes the label of its nearest
@@ -65,6 +71,8 @@ def relabel(image: Image, before: np.ndarray, after: np.ndarray, background: int
     image : Image
     before, after : bool array of the image's shape
     background : int
+    wraps : bool or one per axis
+        Distances wrap around the faces.
     """
     values = np.array(image.values, order="C")
     values[before & ~after] = background
@@ -74,7 +82,11 @@ def relabel(image: Image, before: np.ndarray, after: np.ndarray, background: int
         values[new] = present[0]
     elif new.any():
         distances = [
-            distance_transform(~(before & (image.values == label)), spacing=image.spacing)[new]
+            distance_transform(
+                ~(before & (image.values == label)),
+                spacing=image.spacing,
+                periodic=wraps,
+            )[new]
             for label in present
         ]
         values[new] = present[np.argmin(distances, axis=0)]

@@ -15,6 +15,7 @@ from trabecula.core.checks import check_name
 from trabecula.core.image import Image
 from trabecula.finish.closed_pores import fill_trapped, fill_trapped_in_place
 from trabecula.finish.connect import connect, connect_in_place
+from trabecula.finish.crust import add_crust
 from trabecula.finish.floaters import remove_floaters, remove_floaters_in_place
 from trabecula.finish.prune import prune
 from trabecula.finish.smooth import smooth
@@ -112,6 +113,18 @@ _DECLARED = (
         inputs=("exemplar", "mask"),
     ),
     Operation(
+        "add_crust",
+        add_crust,
+        Option(
+            "--crust",
+            "closed wall below the surface of the form: thickness, in the image's unit",
+            setting="thickness",
+            metavar="T",
+        ),
+        bytes_per_voxel=22,
+        inputs=("mask",),
+    ),
+    Operation(
         "connect",
         connect,
         Option(
@@ -148,6 +161,7 @@ _DECLARED = (
             metavar="S",
         ),
         bytes_per_voxel=22,
+        inputs=("mask",),
     ),
     Operation(
         "thicken",
@@ -159,6 +173,7 @@ _DECLARED = (
             metavar="T",
         ),
         bytes_per_voxel=22,
+        inputs=("mask",),
     ),
     Operation(
         "remove_floaters",
@@ -173,10 +188,12 @@ _DECLARED = (
         Option("--fill", "fill closed pores"),
         bytes_per_voxel=5,
         in_place=fill_trapped_in_place,
+        inputs=("mask",),
     ),
 )
 
 OPERATIONS: dict[str, Operation] = {operation.name: operation for operation in _DECLARED}
-"""By name, in the order in which `trabecula finish` runs them: whole struts first, then one
-component, its surface, its strength, and last what these left loose or closed.
+"""By name, in the order in which `trabecula finish` runs them: whole struts first, then the
+wall that they end on, one component, its surface, its strength, and last what these left loose or
+closed.
 """

@@ -15,6 +15,7 @@ Rounds repeat while they change something, as the skeleton changes with the mate
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +30,16 @@ from trabecula.finish.branch_growth import Struts, grow, struts_of
 from trabecula.finish.branches import Anatomy, FreeEnd, anatomy, cell_perimeters
 from trabecula.finish.forms import as_form, fills_form, form_recipe
 from trabecula.finish.labels import background_of, check_present, lift, with_step
-from trabecula.measure.phases import indicator
+from trabecula.finish.periodic import (
+    crop_margins,
+    material_origin,
+    pad_wrapped,
+    periodic_images,
+    periodic_setting,
+    roll_by,
+    wrap_margins,
+)
+from trabecula.measure.phases import as_periodic, indicator
 
 _ROUNDS = 6
 
@@ -51,6 +61,7 @@ def prune(
     phase: str | int | None = None,
     theta: float = 0.11,
     mask: Image | ArrayLike | None = None,
+    periodic: bool | Sequence[bool] = False,
 ) -> Image:
     """Remove or complete struts with a free end.
 
@@ -74,6 +85,9 @@ def prune(
         The form that the image fills (as `Request.mask`): free ends are counted per volume of it,
         struts that its surface cuts are not judged, and nothing is grown outside of it. Default:
         the whole image, with a notice where its recipe names a form.
+    periodic : bool or one per axis
+        The image continues at the opposite face: no strut is cut there, and struts grow across it.
+        Takes the memory of an image with a cell more on either side.
 
     Returns
     -------
@@ -128,9 +142,16 @@ def prune(
     reference = (
         _Reference(0, 0.0, np.inf, None) if source is None else _measure(source, phase, scale)
     )
-    values = np.array(image.values, order="C")
+    wraps = as_periodic(periodic, image.ndim)
+    origin = material_origin(image.values, wraps)
+    back = [-step for step in origin]
+    inside = roll_by(inside, back)
+    margins = wrap_margins(inside, wraps)
+    inside = pad_wrapped(inside, margins)
+    values = pad_wrapped(roll_by(image.values, back), margins)
+    form = None if form is None else pad_wrapped(roll_by(form, back), margins)
     closed = _pad_marked(((values != background) & ~inside) | (False if form is None else ~form))
-    parts = anatomy(inside, spacing, form)
+    parts = anatomy(inside, spacing, form, margins)
     report = {
         "ends_before": len(parts.ends),
         "removed": 0,
@@ -140,16 +161,17 @@ def prune(
         "rounds": 0,
     }
     while report["rounds"] < _ROUNDS and _round(
-        parts, values, background, reference, theta, closed, report
+        parts, values, margins, background, reference, theta, closed, report
     ):
         report["rounds"] += 1
         inside = parts.territories.inside[1:-1, 1:-1, 1:-1].astype(bool).reshape(values.shape)
-        parts = anatomy(inside, spacing, form)
+        parts = anatomy(inside, spacing, form, margins)
+    values = np.ascontiguousarray(roll_by(crop_margins(values, margins), origin))
     report |= {"ends_after": len(parts.ends), "left": len(_spurious_ends(parts, reference))}
     allowed = round(reference.density * parts.volume)
     report |= {"ends_exemplar": reference.ends, "ends_allowed": allowed}
     exemplars = [] if source is None else [source.recipe]
-    settings = {"phase": phase, "theta": theta}
+    settings = {"phase": phase, "theta": theta, "periodic": periodic_setting(wraps)}
     return with_step(
         image, values, "prune", settings, report, exemplars=exemplars, **form_recipe(mask)
     )
@@ -209,6 +231,7 @@ def _spurious_ends(parts: Anatomy, reference: _Reference) -> list[FreeEnd]:
 def _round(
     parts: Anatomy,
     values: np.ndarray,
+    margins: tuple[int, ...],
     background: int,
     reference: _Reference,
     theta: float,
@@ -217,25 +240,33 @@ def _round(
 ) -> bool:
     """Remove or grow every spurious end once; return whether any voxel changed.
 
-    Writes into `values`, the territories and the report.
+    Writes into `values`, the territories and the report; in `margins` that repeat the image, the
+    same as in the image.
     """
+    space = parts.territories
     ends = _spurious_ends(parts, reference)
     perimeters = cell_perimeters(parts.graph, [end.root for end in ends])
-    shape = parts.territories.inside.shape
+    margins = (0,) * (3 - values.ndim) + margins
     changed = False
     for short in (True, False):  # remove first: no new strut should end at one that is removed
         for end, perimeter in zip(ends, perimeters, strict=True):
             if not np.isfinite(perimeter) or (end.length < theta * perimeter) != short:
                 continue
-            space = parts.territories
+            if not space.inside[tuple(end.tip)]:  # removed as its image beyond a periodic face
+                continue
             places = (
                 space.cut(end.branch, end.tip)
                 if short
                 else grow(end, perimeter, parts, reference.struts, closed)
             )
-            at = tuple(np.stack(np.unravel_index(places, shape))[3 - values.ndim :] - 1)
-            values[at] = background if short else values[tuple(end.tip[3 - values.ndim :] - 1)]
-            report["removed" if short else "grown"] += len(places) > 0
+            if not len(places):
+                continue
+            images = periodic_images(space.places(places) - 1, margins, lift(values).shape)
+            space.write(images + 1, grown=not short)
+            lift(values)[tuple(images.T)] = (
+                background if short else lift(values)[tuple(end.tip - 1)]
+            )
+            report["removed" if short else "grown"] += 1
             report["removed_voxels" if short else "added"] += len(places)
-            changed |= len(places) > 0
+            changed = True
     return changed

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
+from trabecula.finish.forms import as_form, form_recipe
 from trabecula.finish.labels import background_of, check_present, relabel, with_step
-from trabecula.measure.phases import indicator
-from trabecula.measure.smooth import gaussian
+from trabecula.finish.periodic import crop_margins, pad_wrapped, periodic_setting
+from trabecula.measure.phases import as_periodic, indicator
+from trabecula.measure.smooth import gaussian, reach_of
 
 
-def smooth(image: Image | ArrayLike, *, sigma: float, phase: str | int | None = None) -> Image:
+def smooth(
+    image: Image | ArrayLike,
+    *,
+    sigma: float,
+    phase: str | int | None = None,
+    mask: Image | ArrayLike | None = None,
+    periodic: bool | Sequence[bool] = False,
+) -> Image:
     """Smooth the surface of a phase: a Gaussian of its indicator, cut at the same volume.
 
     The first of the two operations of Zhang, Chen, Wang and Wang 2017, section 5.4. Struts thinner
@@ -26,6 +37,11 @@ def smooth(image: Image | ArrayLike, *, sigma: float, phase: str | int | None = 
         Standard deviation in the image's unit, above 0 and at most the longest side.
     phase : str or int, optional
         Default: "solid", which is every phase but "void" taken together.
+    mask : Image of labels or (Z, Y, X) bool array, optional
+        The form that the image fills (as `Request.mask`): the mean is over voxels inside it, so
+        that its surface is no surface of the phase, and nothing outside of it changes.
+    periodic : bool or one per axis
+        The image continues at the opposite face. Default: beyond a face its last voxel is repeated.
 
     Returns
     -------
@@ -37,7 +53,8 @@ def smooth(image: Image | ArrayLike, *, sigma: float, phase: str | int | None = 
     Raises
     ------
     InputError
-        The phase is empty; sigma out of range; the void of an image of several phases.
+        The phase is empty; sigma out of range; a mask of another shape; the void of an image of
+        several phases.
 
     Examples
     --------
@@ -53,17 +70,38 @@ def smooth(image: Image | ArrayLike, *, sigma: float, phase: str | int | None = 
     if sigma == 0:
         raise InputError("sigma 0 smooths nothing: give a length above 0, in the image's unit")
     check_present(bool(inside.any()), phase, "to smooth")
-    level = gaussian(inside, [sigma / edge for edge in image.spacing])
+    wraps, form = as_periodic(periodic, image.ndim), as_form(mask, image.shape)
+    widths = [sigma / edge for edge in image.spacing]
     # Other phases stay as they are: voxels change between the phase and the background alone.
     free = inside | (image.values == background)
-    after, cut = _cut_at_volume(level, free, int(np.count_nonzero(inside)))
-    values = relabel(image, inside, after, background)
+    if form is None:
+        level = _gaussian_around(inside, widths, wraps)
+    else:
+        free &= form
+        level = _gaussian_around(inside & form, widths, wraps)
+        level /= np.where(form, _gaussian_around(form, widths, wraps), np.float32(1))
+    check_present(bool((inside & free).any()), phase, "to smooth inside the form")
+    after, cut = _cut_at_volume(level, free, int(np.count_nonzero(inside & free)))
+    after |= inside & ~free
+    values = relabel(image, inside, after, background, wraps)
     report = {
         "added": np.count_nonzero(after & ~inside),
         "removed": np.count_nonzero(inside & ~after),
         "level": round(float(cut), 6),
     }
-    return with_step(image, values, "smooth", {"sigma": sigma, "phase": phase}, report)
+    settings = {"sigma": sigma, "phase": phase, "periodic": periodic_setting(wraps)}
+    return with_step(image, values, "smooth", settings, report, **form_recipe(mask))
+
+
+def _gaussian_around(
+    inside: np.ndarray, widths: Sequence[float], wraps: Sequence[bool]
+) -> np.ndarray:
+    """Return the Gaussian of an array that continues across its periodic faces."""
+    margins = [
+        reach_of(width) if wrap and side > 1 else 0
+        for width, wrap, side in zip(widths, wraps, inside.shape, strict=True)
+    ]
+    return crop_margins(gaussian(pad_wrapped(inside, margins), widths), margins)
 
 
 def _cut_at_volume(

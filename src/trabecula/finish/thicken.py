@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
+from trabecula.finish.forms import as_form, form_recipe
 from trabecula.finish.labels import background_of, check_present, relabel, with_step
+from trabecula.finish.periodic import periodic_setting
 from trabecula.finish.struts import balls, thin_cores
-from trabecula.measure.phases import indicator
+from trabecula.measure.phases import as_periodic, indicator
 
 # Radius of the balls of each round, over half the thickness, in voxels. A ball of voxels is half a
 # voxel wider than its radius, give or take rounding: struts that are still too thin after a round
@@ -18,7 +22,14 @@ from trabecula.measure.phases import indicator
 _MORE = (-0.5, -0.25, 0.0, 0.25)
 
 
-def thicken(image: Image | ArrayLike, *, thickness: float, phase: str | int | None = None) -> Image:
+def thicken(
+    image: Image | ArrayLike,
+    *,
+    thickness: float,
+    phase: str | int | None = None,
+    mask: Image | ArrayLike | None = None,
+    periodic: bool | Sequence[bool] = False,
+) -> Image:
     """Grow the struts and walls of a phase to a least thickness, only where they are thinner.
 
     The second operation of Zhang, Chen, Wang and Wang 2017, section 5.4, which dilates everything
@@ -33,6 +44,10 @@ def thicken(image: Image | ArrayLike, *, thickness: float, phase: str | int | No
         voxel counts as thick enough.
     phase : str or int, optional
         Default: "solid", which is every phase but "void" taken together.
+    mask : Image of labels or (Z, Y, X) bool array, optional
+        The form that the image fills (as `Request.mask`): nothing grows outside of it.
+    periodic : bool or one per axis
+        The image continues at the opposite face.
 
     Returns
     -------
@@ -44,12 +59,14 @@ def thicken(image: Image | ArrayLike, *, thickness: float, phase: str | int | No
     Raises
     ------
     InputError
-        The phase is empty; a thickness out of range; the void of an image of several phases.
+        The phase is empty; a thickness out of range; a mask of another shape; the void of an image
+        of several phases.
 
     Notes
     -----
-    Pores narrower than twice the added layer close. Sharp edges of thick regions are no struts and
-    stay sharp.
+    At the surface of a form struts grow to the inside alone and may stay thinner: `thin_after`
+    counts them. Pores narrower than twice the added layer close. Sharp edges of thick regions are
+    no struts and stay sharp.
 
     Examples
     --------
@@ -64,20 +81,28 @@ def thicken(image: Image | ArrayLike, *, thickness: float, phase: str | int | No
     if thickness == 0:
         raise InputError("thickness 0 thickens nothing: give a length above 0, in the image's unit")
     check_present(bool(inside.any()), phase, "to thicken")
+    wraps, form = as_periodic(periodic, image.ndim), as_form(mask, image.shape)
     free = image.values == background
-    after, shares = _grow_struts(inside, free, image.spacing, thickness)
-    values = relabel(image, inside, after, background)
+    if form is not None:
+        free &= form
+    after, shares = _grow_struts(inside, free, image.spacing, thickness, wraps)
+    values = relabel(image, inside, after, background, wraps)
     report = {
         "added": np.count_nonzero(after & ~inside),
         "thin_before": round(shares[0], 6),
         "thin_after": round(shares[-1], 6),
         "rounds": len(shares) - 1,
     }
-    return with_step(image, values, "thicken", {"thickness": thickness, "phase": phase}, report)
+    settings = {"thickness": thickness, "phase": phase, "periodic": periodic_setting(wraps)}
+    return with_step(image, values, "thicken", settings, report, **form_recipe(mask))
 
 
 def _grow_struts(
-    inside: np.ndarray, free: np.ndarray, spacing: tuple[float, ...], thickness: float
+    inside: np.ndarray,
+    free: np.ndarray,
+    spacing: tuple[float, ...],
+    thickness: float,
+    wraps: tuple[bool, ...],
 ) -> tuple[np.ndarray, list[float]]:
     """Grow the thin struts of a phase into the free voxels.
 
@@ -87,10 +112,10 @@ def _grow_struts(
     for more in (*_MORE, None):
         if inside.all():
             return inside, [*shares, 0.0]
-        cores = thin_cores(inside, spacing, thickness)
+        cores = thin_cores(inside, spacing, thickness, wraps)
         shares.append(cores.share)
         if more is None or not len(cores.places):
             break
         reach = np.maximum(thickness / 2 + more * min(spacing) - cores.aside, 0)
-        inside = inside | (balls(cores.places, reach, inside.shape, spacing) & free)
+        inside = inside | (balls(cores.places, reach, inside.shape, spacing, wraps) & free)
     return inside, shares
