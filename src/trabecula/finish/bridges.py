@@ -243,8 +243,10 @@ def _sweep(owner, far, open_to, wraps, way, start, stop):
     changed = False
     for i in range(stop - start):
         z = start + i if way > 0 else stop - 1 - i
+        c = _step_to(z - way, depth, wraps[0])
         for j in range(height):
             y = j if way > 0 else height - 1 - j
+            b = _step_to(y - way, height, wraps[1])
             for k in range(width):
                 x = k if way > 0 else width - 1 - k
                 if not open_to[z, y, x]:
@@ -252,8 +254,6 @@ def _sweep(owner, far, open_to, wraps, way, start, stop):
                 best = np.int64(far[z, y, x])
                 number = np.int64(owner[z, y, x])
                 before = best
-                c = _step_to(z - way, depth, wraps[0])
-                b = _step_to(y - way, height, wraps[1])
                 a = _step_to(x - way, width, wraps[2])
                 if c >= 0 and far[c, y, x] < best - 1:
                     best, number = np.int64(far[c, y, x]) + 1, np.int64(owner[c, y, x])
@@ -273,15 +273,18 @@ def _cheapest(owner, far, wraps, parent, cost, place, axis, start, stop):
     """Find, for every tree of components, the first of the cheapest paths to another tree."""
     depth, height, width = owner.shape
     for z in range(start, stop):
+        below = _step_to(z + 1, depth, wraps[0])
         for y in range(height):
+            behind = _step_to(y + 1, height, wraps[1])
             for x in range(width):
                 here = owner[z, y, x]
                 if here == 0:
                     continue
+                beside = _step_to(x + 1, width, wraps[2])
                 for step in range(3):
-                    k = _step_to(z + (step == 0), depth, wraps[0])
-                    j = _step_to(y + (step == 1), height, wraps[1])
-                    i = _step_to(x + (step == 2), width, wraps[2])
+                    k = below if step == 0 else z
+                    j = behind if step == 1 else y
+                    i = beside if step == 2 else x
                     if k < 0 or j < 0 or i < 0:
                         continue
                     there = owner[k, j, i]

@@ -78,14 +78,14 @@ def roll_by(values: np.ndarray, shift: Sequence[int]) -> np.ndarray:
 
 
 def wrap_margins(inside: np.ndarray, wraps: Sequence[bool]) -> tuple[int, ...]:
-    """Return the voxels of a margin that holds the cells next to a periodic face: two mean chords
-    of phase and rest together, at most a period; 0 along other axes.
+    """Return the voxels of a margin that holds the cells next to a periodic face: one and a half
+    mean chords of phase and rest together, at most a period; 0 along other axes.
     """
     margins = []
     for axis, wrap in enumerate(wraps):
         planes = np.moveaxis(inside, axis, 0)
         faces = np.count_nonzero(planes[1:] != planes[:-1])
-        margins.append(min(len(planes), -(-4 * inside.size // max(faces, 1))) if wrap else 0)
+        margins.append(min(len(planes), -(-3 * inside.size // max(faces, 1))) if wrap else 0)
     return tuple(margins)
 
 
