@@ -62,6 +62,8 @@ class Anatomy:
     """Volume of the image, or of the form that it fills, without the margin in which ends are not
     judged; in the unit of the spacing.
     """
+    margins: tuple[int, ...]
+    """Voxels along every axis that repeat a periodic image, before and behind it."""
 
 
 def anatomy(
@@ -76,13 +78,14 @@ def anatomy(
     (bool, same shape), than the mean thickness of the struts are not judged: a strut may be cut
     there. Nor are those in `margins`, voxels along every axis that repeat a periodic image.
     """
+    margins = margins or (0,) * inside.ndim
     graph = skeleton_graph(Image(inside, "labels", spacing=spacing))
     radius = distance_transform(inside, spacing=spacing)
     margin = 2 * float(radius[graph.skeleton].mean(dtype=np.float64))
     territories = Territories(graph, inside, radius)
     girth = np.zeros(len(graph.joints))
     np.maximum.at(girth, graph.joint_of, radius[tuple(graph.joint_voxels.T)])
-    domain = _FilledDomain.of(inside.shape, spacing, form, margins or (0,) * inside.ndim)
+    domain = _FilledDomain.of(inside.shape, spacing, form, margins)
     found = []
     for branch in np.flatnonzero(graph.kind == END_JOINT):
         if domain.depth(graph.path(branch)[0]) >= margin:
@@ -91,7 +94,7 @@ def anatomy(
             )
             found += [] if end is None else [end]
     found.sort(key=lambda end: end.length)  # stable: equal ones stay in the order of the graph
-    return Anatomy(graph, radius, territories, found, domain.volume(margin))
+    return Anatomy(graph, radius, territories, found, domain.volume(margin), margins)
 
 
 @dataclass(frozen=True, eq=False)

@@ -161,7 +161,7 @@ def prune(
         "rounds": 0,
     }
     while report["rounds"] < _ROUNDS and _round(
-        parts, values, margins, background, reference, theta, closed, report
+        parts, values, background, reference, theta, closed, report
     ):
         report["rounds"] += 1
         inside = parts.territories.inside[1:-1, 1:-1, 1:-1].astype(bool).reshape(values.shape)
@@ -231,7 +231,6 @@ def _spurious_ends(parts: Anatomy, reference: _Reference) -> list[FreeEnd]:
 def _round(
     parts: Anatomy,
     values: np.ndarray,
-    margins: tuple[int, ...],
     background: int,
     reference: _Reference,
     theta: float,
@@ -240,13 +239,13 @@ def _round(
 ) -> bool:
     """Remove or grow every spurious end once; return whether any voxel changed.
 
-    Writes into `values`, the territories and the report; in `margins` that repeat the image, the
-    same as in the image.
+    Writes into `values`, the territories and the report; in margins that repeat the image, the same
+    as in the image.
     """
     space = parts.territories
     ends = _spurious_ends(parts, reference)
     perimeters = cell_perimeters(parts.graph, [end.root for end in ends])
-    margins = (0,) * (3 - values.ndim) + margins
+    margins = (0,) * (3 - values.ndim) + parts.margins
     changed = False
     for short in (True, False):  # remove first: no new strut should end at one that is removed
         for end, perimeter in zip(ends, perimeters, strict=True):
