@@ -55,6 +55,25 @@ def test_a_rolled_image_gives_the_rolled_result(name, axes, masked):
         assert report(again) == report(part)
 
 
+@settings(max_examples=60)
+@given(st.integers(0, 10_000), st.integers(2, 3), st.sampled_from([0.1, 0.5, 0.9, 1.1]))
+def test_small_and_full_images_roll_as_well(seed, ndim, share):
+    rng = np.random.default_rng(seed)
+    shape = tuple(rng.integers(2, 7, ndim))
+    solid, axes = rng.random(shape) < share, tuple((rng.random(ndim) < 0.6).tolist())
+    if not solid.any():
+        return
+    step = tuple(int(rng.integers(0, 9)) if wrap else 0 for wrap in axes)
+    for work in (
+        lambda image: smooth(image, sigma=1, periodic=axes),
+        lambda image: thicken(image, thickness=2, periodic=axes),
+        lambda image: connect(image, min_size=1, periodic=axes),
+        lambda image: prune(image, periodic=axes),
+    ):
+        part, again = work(solid), work(np.roll(solid, step, range(ndim)))
+        assert np.array_equal(again.values, np.roll(part.values, step, range(ndim)))
+
+
 def test_components_that_meet_across_a_face_are_one():
     bar = np.zeros((12, 12, 30), np.uint8)
     bar[4:8, 4:8, :8] = bar[4:8, 4:8, 22:] = 1

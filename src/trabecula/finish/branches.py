@@ -140,7 +140,7 @@ class _FilledDomain:
         if self.deep is not None:
             own = crop_margins(self.deep, self.margins.tolist())
             return float(np.count_nonzero(own >= margin) * np.prod(self.spacing))
-        cut = 2 * margin * (self.margins == 0)
+        cut = np.where(self.margins == 0, 2 * margin, 0)
         return float(np.prod(np.maximum(self.shape * self.spacing - cut, 0)))
 
     def cuts(self, space: Territories, places: np.ndarray) -> bool:
