@@ -10,8 +10,8 @@ from trabecula.errors import InputError, RequestError
 from trabecula.exemplar.views import views_of
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.content.kinds import content_of
-from trabecula.synth.shared.statistics.two_point import correlations_of
-from trabecula.synth.sliced.aims import Pictures, make_isotropic, reweight_target, subsample
+from trabecula.synth.shared.statistics.two_point import correlations_of, reweight_target
+from trabecula.synth.sliced.aims import Pictures, make_isotropic, subsample
 from trabecula.synth.sliced.method import remove_specks
 from trabecula.synth.sliced.run import regions_around_known, torus_regions
 

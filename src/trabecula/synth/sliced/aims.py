@@ -22,7 +22,6 @@ from trabecula.synth.shared.statistics.slices import SliceTarget, slice_target
 from trabecula.synth.shared.statistics.two_point import (
     Correlations,
     correlations_of,
-    soft_indicator,
 )
 from trabecula.synth.sliced.config import SlicedConfig
 from trabecula.synth.sliced.steps import FAR
@@ -157,25 +156,3 @@ def make_isotropic(target: Correlations, shapes: Sequence[tuple[int, ...]]) -> C
     ).reshape(3, bins)
     sums = (target.curves.reshape(-1, 3, bins) * fits).sum(axis=1) / np.maximum(fits.sum(axis=0), 1)
     return replace(target, curves=np.tile(sums, (1, 3)), held=np.tile(fits.sum(axis=0) > 0, 3))
-
-
-def reweight_target(
-    target: Correlations, own: Sequence[Histogram], asked: Sequence[Histogram], *, softness: float
-) -> Correlations:
-    """Return the target for fields with other histograms: the covariance form (S2 - m^2) / (m -
-    m^2) is kept.
-
-    `softness` is that of the indicator whose two-point functions they are.
-    """
-    curves = []
-    for curve, have, want in zip(target.curves, own, asked, strict=True):
-        m, w = _mean(have, softness), _mean(want, softness)
-        curves.append((curve - m * m) * ((w - w * w) / max(m - m * m, 1e-30)) + w * w)
-    return replace(target, curves=np.array(curves))
-
-
-def _mean(histogram: Histogram, softness: float) -> float:
-    """Return the mean of the soft indicator."""
-    counts = np.diff(histogram.up_to, prepend=0)
-    soft = soft_indicator(histogram.values, softness).astype(np.float64)
-    return float((soft * counts).sum() / counts.sum())

@@ -29,9 +29,9 @@ from trabecula.synth.shared.pyramid import fit_to
 from trabecula.synth.shared.slabs import complement
 from trabecula.synth.shared.solid.run import ViewRounds, ViewStage
 from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods
-from trabecula.synth.shared.statistics.two_point import Correlations
+from trabecula.synth.shared.statistics.two_point import Correlations, reweight_target
 from trabecula.synth.shared.statistics.two_point_steps import two_point_step
-from trabecula.synth.sliced.aims import Layout, reweight_target
+from trabecula.synth.sliced.aims import Layout
 from trabecula.synth.sliced.steps import distance_step
 
 if TYPE_CHECKING:

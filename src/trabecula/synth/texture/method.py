@@ -309,7 +309,7 @@ class TextureModel(Model):
         aims = self.aims
         if request.target:
             aims = [
-                novel_layout.with_fractions(
+                novel_layout.with_histograms(
                     one, self.content.target_histograms(one.histograms, request)
                 )
                 for one in aims

@@ -41,7 +41,7 @@ from trabecula.synth.shared.statistics.slices import SliceTarget, slice_target
 from trabecula.synth.shared.statistics.two_point import (
     Correlations,
     correlations_at,
-    soft_indicator,
+    reweight_target,
 )
 from trabecula.synth.shared.statistics.two_point_steps import (
     accumulate_debt,
@@ -182,21 +182,13 @@ def aims_of(
     return Aims(stack, stack.histograms, correlations, tuple(made))
 
 
-def with_fractions(aims: Aims, histograms: tuple[Histogram, ...]) -> Aims:
-    """Return the targets of one level for other volume fractions, which these histograms of the
-    field have: the autocorrelation stays, so that the two-point function moves with mean and
-    variance of the soft indicator.
+def with_histograms(aims: Aims, histograms: tuple[Histogram, ...]) -> Aims:
+    """Return the targets of one level for material of other volume fractions, whose fields have
+    these histograms.
     """
     target = aims.correlations
-    curves = np.empty_like(target.curves)
-    for c, (own, wanted) in enumerate(zip(aims.histograms, histograms, strict=True)):
-        (mean, variance), (new_mean, new_variance) = (
-            histogram.moments(lambda values: soft_indicator(values, target.softness))
-            for histogram in (own, wanted)
-        )
-        share = new_variance / max(variance, 1e-30)
-        curves[c] = new_mean**2 + (target.curves[c] - mean**2) * share
-    return replace(aims, histograms=histograms, correlations=replace(target, curves=curves))
+    reweighted = reweight_target(target, aims.histograms, histograms, softness=target.softness)
+    return replace(aims, histograms=histograms, correlations=reweighted)
 
 
 def slices_for(fields: Sequence[np.ndarray]) -> SliceTarget:

@@ -8,7 +8,7 @@ again when needed, which costs less than memory for them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,13 +62,6 @@ class Histogram:
         parts = np.rint(counts / counts.sum() * _PARTS).astype(np.int64)
         present = parts > 0
         return cls(target.values[present], np.cumsum(parts[present]))
-
-    def moments(self, function: Callable[[np.ndarray], np.ndarray]) -> tuple[float, float]:
-        """Return mean and variance of a function of the values."""
-        counts = np.diff(self.up_to, prepend=0) / self.up_to[-1]
-        seen = function(self.values).astype(np.float64)
-        mean = float((counts * seen).sum())
-        return mean, float((counts * (seen - mean) ** 2).sum())
 
     def values_at(self, middle: np.ndarray, size: int) -> np.ndarray:
         """Look up the values at some places of a ranking of `size`."""

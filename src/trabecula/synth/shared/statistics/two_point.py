@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trabecula.engine.parallel import sum_slabs
 from trabecula.synth.shared.content.fields import FULL
+from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.statistics.long_waves import LongWaves
 from trabecula.synth.shared.statistics.pairs import AXES, Pairs
 
@@ -111,6 +112,28 @@ def correlations_at(
         edges=edges,
         directions=directions,
     )
+
+
+def reweight_target(
+    target: Correlations, own: Sequence[Histogram], asked: Sequence[Histogram], *, softness: float
+) -> Correlations:
+    """Return the target for fields with other histograms: the covariance form (S2 - m^2) / (m -
+    m^2) is kept.
+
+    `softness` is that of the indicator whose two-point functions they are.
+    """
+    curves = []
+    for curve, have, want in zip(target.curves, own, asked, strict=True):
+        m, w = _mean(have, softness), _mean(want, softness)
+        curves.append((curve - m * m) * ((w - w * w) / max(m - m * m, 1e-30)) + w * w)
+    return replace(target, curves=np.array(curves))
+
+
+def _mean(histogram: Histogram, softness: float) -> float:
+    """Return the mean of the soft indicator."""
+    counts = np.diff(histogram.up_to, prepend=0)
+    soft = soft_indicator(histogram.values, softness).astype(np.float64)
+    return float((soft * counts).sum() / counts.sum())
 
 
 def soft_indicator(field: np.ndarray, softness: float) -> np.ndarray:
