@@ -27,9 +27,9 @@ from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.shared.coarse_to_fine import levels_for, levels_that_fit
 from trabecula.synth.shared.content.fields import FULL, channels_of, isotropic_scale, quantise
-from trabecula.synth.shared.content.kinds import Content, Labels, content_of
+from trabecula.synth.shared.content.kinds import Content, Labels, content_of, free_voxels
 from trabecula.synth.shared.matching.principal_components import basis_bytes
-from trabecula.synth.shared.matching.region import Region, regions_of
+from trabecula.synth.shared.matching.region import Region, has_cube, regions_of
 from trabecula.synth.shared.matching.sources import Stack
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.pictures import ROOM
@@ -255,7 +255,9 @@ class TextureModel(Model):
             votes = self.painted.grey.paint(structure, request)
             return self.content.to_values(votes, request), {"way": _PAINTED, **made}
         if new:
-            votes = novel_layout.make_novel(self._novel_rounds(request))
+            votes = novel_layout.make_novel(
+                self._novel_rounds(request, self._regions_around(request))
+            )
         else:
             used = levels_for(request.shape, len(self.levels), width=max(self.config.neighbourhood))
             # no array is held by a name here: the run frees what it no longer needs
@@ -277,7 +279,7 @@ class TextureModel(Model):
             report["small_bodies"] = self._settle_small_bodies(votes, request)
         if request.target and isinstance(self.content, Labels):
             request = average_target(request)
-        if self.novelty and not self.content.distances:
+        if self.novelty and not new:
             report["way"] = _PATCHES
         return self.content.to_values(votes, request), report
 
@@ -289,6 +291,7 @@ class TextureModel(Model):
         """
         assert isinstance(self.content, Labels)
         report: dict[str, Any] = {}
+        free = free_voxels(request)
         for number in range(_SETTLED):
             values = self.content.to_values(votes, request)
             for label, bodies in self.small.items():
@@ -300,12 +303,16 @@ class TextureModel(Model):
                     self.content.present,
                     draw=generator(request.seed, f"texture/bodies/{label}", number),
                     periodic=request.periodic,
-                    mask=request.mask,
+                    mask=free,
                 )
         return report
 
-    def _novel_rounds(self, request: Request) -> novel_layout.NovelRounds:
-        schedule = novel_layout.passes(self.novelty, self.top, self.config.layout)
+    def _novel_rounds(
+        self, request: Request, around: Sequence[Region] = ()
+    ) -> novel_layout.NovelRounds:
+        schedule = novel_layout.passes(
+            self.novelty, self.top, self.config.layout, beside=request.fixed is not None
+        )
         aims = self.aims
         if request.target:
             aims = [
@@ -314,7 +321,16 @@ class TextureModel(Model):
                 )
                 for one in aims
             ]
-        return novel_layout.NovelRounds(aims, self.slices, schedule, request, self.config)
+        return novel_layout.NovelRounds(aims, self.slices, schedule, request, self.config, around)
+
+    def _regions_around(self, request: Request) -> list[Region]:
+        """Return the regions of new material beside known voxels, finest first; none where nothing
+        is known. A mask cuts the result in the end.
+        """
+        bounds = self.content.bounds(request)
+        if bounds is None:
+            return []
+        return regions_of(replace(request, mask=None), self.top + 1, bounds, self._quantise)
 
     def _fractions(self, request: Request, count: int) -> list[np.ndarray]:
         """Return the target's volume fractions on each level; empty where there is none."""
@@ -324,22 +340,22 @@ class TextureModel(Model):
         return fractions_by_level(shares, self.stacks[:count])
 
     def _makes_new(self, request: Request) -> bool:
-        """Return whether there is room to lay out something new; beside known voxels neighbourhoods
-        have to fit them, and a field of porosities has to hold around every place.
+        """Return whether there is room to lay out something new, beside known voxels as well, and
+        no target that holds around every place, or beside known voxels.
         """
         whole = self.config.layout == "structure" and not any(map(np.ndim, request.target.values()))
         top = self.top if self.painted is None else self.painted.structure.top
-        return (
-            top > 0
-            and request.fixed is None
-            and (whole or not request.target)
-            and novel_layout.has_room(request.shape, top)
-        )
+        if not top or not novel_layout.has_room(request.shape, top):
+            return False
+        if request.known is None:
+            return whole or not request.target
+        laid_out = whole and not request.target and self.painted is None
+        return laid_out and novel_layout.has_room_beside(request.known, top)
 
     def _check_request(self, request: Request) -> None:
         super()._check_request(request)
         width = min(self.config.neighbourhood)
-        if request.mask is not None and not _has_room(request.mask, width):
+        if request.mask is not None and not has_cube(request.mask, width):
             raise RequestError(
                 f"the mask nowhere has room for a neighbourhood of {width} voxels: voxelise it "
                 "at a finer spacing, or "
@@ -378,10 +394,12 @@ class TextureModel(Model):
             )
         if new:
             rounds = self._novel_rounds(request)
-            finest, region = self.aims[0].candidates, rounds.regions[0]
+            finest, region = self.aims[0].candidates, Region(rounds.shapes[0], (True,) * 3)
             stages = rounds.stages(mapped=mapped)
             if self.small:
-                stages += body_stages(request.shape, len(finest[-1].stack.field))
+                stages += body_stages(
+                    request.shape, len(finest[-1].stack.field), known=request.fixed is not None
+                )
         else:
             region, finest = Region(request.shape, request.periodic), self.levels[0]
             target = target_of(0, request, self.config, self.targets)
@@ -438,24 +456,3 @@ class Painted:
 
     structure: TextureModel
     grey: GreyLevels
-
-
-def _has_room(mask: np.ndarray, width: int) -> bool:
-    """Return whether a cube of `width` voxels fits into a mask (one that is thinner along an axis
-    may fill that axis).
-    """
-    reach = [min(width, side) for side in mask.shape]
-    deep = np.zeros(mask.shape[1:], np.int32)  # planes up to this one in which a line is inside
-    for plane in mask:
-        deep = np.where(plane, deep + 1, 0)
-        room = deep >= reach[0]
-        for axis in (0, 1):
-            sums = np.cumsum(room, axis=axis, dtype=np.int32)
-            sums = np.concatenate([np.zeros_like(sums.take([0], axis)), sums], axis)
-            cells = np.arange(room.shape[axis] - reach[1 + axis] + 1)
-            room = (
-                sums.take(cells + reach[1 + axis], axis) - sums.take(cells, axis) == reach[1 + axis]
-            )
-        if room.any():
-            return True
-    return False

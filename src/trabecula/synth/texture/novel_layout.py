@@ -25,11 +25,12 @@ from trabecula.engine.memory import Stage, Workspace, within
 from trabecula.synth.shared.coarse_to_fine import CoarseToFine, RoundStage
 from trabecula.synth.shared.content.fields import noise, votes_of
 from trabecula.synth.shared.content.histogram import Histogram
-from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_matches
-from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_matches, targets_of
+from trabecula.synth.shared.matching.region import Region, has_cube
 from trabecula.synth.shared.matching.rounds import cast_votes, match_votes, refine_field
 from trabecula.synth.shared.matching.sources import Candidates, Stack
-from trabecula.synth.shared.stages import LevelMemory, layout_stages
+from trabecula.synth.shared.slabs import complement, count_true
+from trabecula.synth.shared.stages import LevelMemory, layout_stages, region_arrays
 from trabecula.synth.shared.statistics.long_waves import (
     adjust_long_waves,
     long_waves_of,
@@ -70,6 +71,7 @@ _STRENGTH, _SLICED_STEP = 2.5, 2
 _SLICED_ROUNDS, _STEP_EVERY = 30, 5
 _MOVED = 16  # rounds on the coarsest level at hardly any novelty
 _WIDE_FROM = 5  # so many of them let finer levels have wide neighbourhoods
+_WIDEST = 8  # voxels of the widest neighbourhood
 _FIRST = 3  # times as many sweeps in the first round, which starts from random matches
 
 
@@ -100,11 +102,12 @@ class Aims:
     candidates: tuple[Candidates, ...]  # one per pass on this level
 
 
-def passes(novelty: float, top: int, layout: str) -> tuple[Pass, ...]:
+def passes(novelty: float, top: int, layout: str, *, beside: bool = False) -> tuple[Pass, ...]:
     """List the passes from the level that sliced rounds lay out to the finest one.
 
     Less than full novelty lets neighbourhoods of the exemplar into the layout, and then widens
-    those of finer levels.
+    those of finer levels. `beside` known voxels there are no steps: a hole is too small to have
+    the two-point function of the material, and interfaces would be cut into combs for it.
     """
     moved = round(_MOVED * (1 - novelty))
     wide = moved >= _WIDE_FROM
@@ -118,6 +121,8 @@ def passes(novelty: float, top: int, layout: str) -> tuple[Pass, ...]:
         coarser.append(Pass(1, 8, 1, 4 + moved, 2))
         width = WIDTH
     finest = (Pass(0, width, 2, 2, 2, beyond=1.7), Pass(0, WIDTH, 2, 1, 1, beyond=0.0))
+    if beside:
+        return tuple(replace(p, steps=0, beyond=0.0) for p in (*coarser, *finest))
     return (*coarser, *finest)
 
 
@@ -198,24 +203,55 @@ def slices_for(fields: Sequence[np.ndarray]) -> SliceTarget:
     return slice_target(fields, width=fitting[0] if fitting else _SLICED_WIDTHS[-1])
 
 
-def torus_shape(
-    shape: tuple[int, ...], periodic: tuple[bool, ...], level: int, top: int
-) -> tuple[int, ...]:
+def torus_shape(request: Request, level: int, top: int) -> tuple[int, ...]:
     """Return the sides of the torus on a level: an open axis is continued to whole voxels of the
-    coarsest level.
+    coarsest level, and by a neighbourhood where known voxels at one face would be next to free ones
+    at the other.
     """
     return tuple(
-        -(-side // 2**level) if wraps else -(-side // 2**top) * 2 ** (top - level)
-        for side, wraps in zip(shape, periodic, strict=True)
+        -(-side // 2**level)
+        if wraps
+        else (-(-side // 2**top) + _margin(request.known, axis, top)) * 2 ** (top - level)
+        for axis, (side, wraps) in enumerate(zip(request.shape, request.periodic, strict=True))
     )
+
+
+def _margin(known: np.ndarray | None, axis: int, top: int) -> int:
+    """Return the voxels of level `top` between the two faces of an open axis on the torus."""
+    if known is None:
+        return 0
+    along, reach = np.moveaxis(known, axis, 0), _WIDEST * 2**top
+    return 0 if along[:reach].all() and along[-reach:].all() else _WIDEST
+
+
+def has_room_beside(known: np.ndarray, top: int) -> bool:
+    """Return whether the free voxels have room for a layout on level `top`, and half of the known
+    ones are seen there.
+    """
+    open_, held = Region(known.shape, free=complement(known)), Region(known.shape, free=known)
+    for _ in range(top):
+        open_, held = open_.halve(), held.halve()
+    assert open_.free is not None and held.free is not None
+    seen = count_true(complement(open_.free)) * 8**top
+    return 2 * seen >= count_true(known) and has_cube(complement(held.free), LEAST)
 
 
 @dataclass(frozen=True)
 class NovelLayoutStage(RoundStage):
-    """Sliced rounds on the coarsest level."""
+    """Sliced rounds on the coarsest level.
+
+    Attributes
+    ----------
+    aims : Aims
+        Of the free voxels.
+    region : Region
+    moving : (Z, Y, X) bool, optional
+        The free voxels, and known ones whose distance is not.
+    """
 
     aims: Aims
     region: Region
+    moving: np.ndarray | None
 
 
 @dataclass(frozen=True)
@@ -246,6 +282,9 @@ class PassStage(RoundStage):
 class NovelRounds(CoarseToFine[Any]):
     """A run from noise, on the torus; the state of the layout is its votes.
 
+    Known voxels keep their field on every level, so what is made beside them is matched to the
+    exemplar together with them. `around` are the regions that hold them, finest first.
+
     Attributes
     ----------
     debt : (C, bins)
@@ -259,15 +298,18 @@ class NovelRounds(CoarseToFine[Any]):
         schedule: Sequence[Pass],
         request: Request,
         config: TextureConfig,
+        around: Sequence[Region] = (),
     ) -> None:
         self.aims, self.slices = aims, slices
         self.schedule = schedule
         self.request, self.config = request, config
         self.top = len(aims) - 1
-        self.regions = [
-            Region(torus_shape(request.shape, request.periodic, level, self.top), _AROUND)
-            for level in range(self.top + 1)
-        ]
+        self.shapes = [torus_shape(request, level, self.top) for level in range(self.top + 1)]
+        self.regions = (
+            [r.continue_on_torus(shape) for r, shape in zip(around, self.shapes, strict=True)]
+            if around
+            else [Region(shape, _AROUND) for shape in self.shapes]
+        )
         unused = [iter(aim.candidates) for aim in aims]
         self.candidates = [next(unused[part.level]) for part in schedule]
         self.debt: np.ndarray | None = None
@@ -281,25 +323,32 @@ class NovelRounds(CoarseToFine[Any]):
         """Prepare the layout, or the grid of a pass."""
         name, number = self.names[place], place - 1
         if place == 0:
-            return NovelLayoutStage(
-                name, "laying out", _SLICED_ROUNDS, self.aims[self.top], self.regions[self.top]
-            )
+            return self._layout_stage(name)
         part = self.schedule[number]
+        region, candidates = self.regions[part.level], self.candidates[number]
+        targets = targets_of(region, self.aims[part.level].histograms, width=candidates.basis.width)
+        grid = Grid.over(region, candidates, targets)
+        later = self.schedule[place:]
+        del self.regions[later[0].level + 1 if later else 0 :]
         return PassStage(
             name,
             f"level {part.level}",
             part.rounds,
             number,
             part,
-            Grid.over(
-                self.regions[part.level],
-                self.candidates[number],
-                self.aims[part.level].histograms,
-            ),
+            grid,
             self.aims[part.level].correlations,
             key(self.request.seed, f"novel/pass {number}"),
             number == len(self.schedule) - 1,
         )
+
+    def _layout_stage(self, name: str) -> NovelLayoutStage:
+        """Prepare the layout."""
+        aims, region = self.aims[self.top], self.regions[self.top]
+        if self.request.fixed is not None:
+            aims = with_fractions(aims, targets_of(region, aims.histograms, width=WIDTH))
+        moving = region.unsettled()
+        return NovelLayoutStage(name, "laying out", _SLICED_ROUNDS, aims, region, moving)
 
     def memory(self, stage: NovelLayoutStage | PassStage) -> Iterable[Stage]:
         """Declare the arrays of the layout, or of a pass."""
@@ -313,23 +362,27 @@ class NovelRounds(CoarseToFine[Any]):
         return (*self._layout_stages(), *chain.from_iterable(passes))
 
     def _layout_stages(self) -> tuple[Stage, ...]:
-        aims, shape = self.aims[self.top], self.regions[self.top].shape
+        aims, shape = self.aims[self.top], self.shapes[self.top]
         volume = (len(aims.stack.field), *shape)
-        transport = transport_stages(volume, [(0, self.slices)], step=_SLICED_STEP)
+        known = self.request.fixed is not None
+        transport = transport_stages(volume, [(0, self.slices)], step=_SLICED_STEP, known=known)
         steps = (*step_stages(shape, aims.correlations, _AROUND), *wave_stages(volume))
-        return layout_stages(volume, {}, transport, steps)
+        held = region_arrays(replace(self.request, mask=None), shape, len(aims.stack.field))
+        return layout_stages(volume, {**held, "moving": held["free"]}, transport, steps)
 
     def _pass_stages(self, number: int, mapped: bool = False) -> tuple[Stage, ...]:
         part = self.schedule[number]
         level = LevelMemory(
             self.request,
-            self.regions[part.level],
+            Region(self.shapes[part.level], _AROUND),
             [(0, self.candidates[number])],
             sweeps=_FIRST * self.config.sweeps,
             votes_rest=False,
             refit=number > 0 and self.schedule[number - 1].level == part.level,
             mapped=mapped,
         )
+        if not part.steps:
+            return level.stages()
         target, periodic = self.aims[part.level].correlations, self.request.periodic
         step = step_stages(level.covered.shape, target, periodic)
         waves = within({**level.base, **level.votes}, wave_stages(level.volume))
@@ -340,25 +393,30 @@ class NovelRounds(CoarseToFine[Any]):
         work, self.debt = self.work, None
         if isinstance(stage, NovelLayoutStage):
             shape = (len(stage.aims.histograms), *stage.region.shape)
-            work.enter("match")
+            self._open_layout(stage)
             work.adopt("votes", noise(shape, int(key(self.request.seed, "novel/noise"))))
             self._make_votes(stage)
             return
         self._open(stage, "start")
         level, field = self.top if place == 1 else self.schedule[place - 2].level, before["field"]
         for finer in range(level - 1, stage.part.level - 1, -1):
-            shape = self.regions[finer].shape
+            shape = self.shapes[finer]
             field = refine_field(field, _AROUND, distances=True, shape=shape)
-        work.adopt("field", field)
+        work.adopt("field", stage.grid.region.clip_to_bounds(field))
         work.adopt("match0", random_matches(stage.grid, stage.stage))
+
+    def _open_layout(self, stage: NovelLayoutStage) -> None:
+        """Hold the known voxels, and mark those that move."""
+        moving = {} if stage.moving is None else {"moving": stage.moving}
+        self.open_region("match", stage.region, moving)
 
     def _open(self, stage: PassStage, name: str) -> None:
         self.open_region(name, stage.grid.region, {"active0": stage.grid.active})
 
-    def _make_votes(self, stage: NovelLayoutStage) -> None:
-        """Make the votes those of the field that they make."""
+    def _make_votes(self, stage: NovelLayoutStage, *, matched: bool = True) -> None:
+        """Make the votes those of the field that they make, with the histogram or without."""
         work = self.work
-        self.match_field(stage.region, stage.aims.histograms)
+        self.match_field(stage.region, stage.aims.histograms if matched else None)
         work.release("votes")
         work.adopt("votes", votes_of(work["field"]))
 
@@ -371,7 +429,7 @@ class NovelRounds(CoarseToFine[Any]):
 
     def _lay_out(self, stage: NovelLayoutStage, number: int) -> None:
         """Do a sliced round, and a step on the two-point function after every few of them."""
-        work, target, histograms = self.work, stage.aims.correlations, stage.aims.histograms
+        work, target, free = self.work, stage.aims.correlations, stage.region.free
         work.enter("transport")
         work.adopt(
             "moved",
@@ -382,16 +440,20 @@ class NovelRounds(CoarseToFine[Any]):
                 number=number,
                 step=_SLICED_STEP,
                 strength=_STRENGTH,
+                free=stage.moving,
+                counted=free,
             ),
         )
         work.release("votes")
         work.adopt("votes", work.take("moved"))
         if (number + 1) % _STEP_EVERY == 0:
-            self.match_field(stage.region, histograms)
+            self.match_field(stage.region, stage.aims.histograms)
             work.release("votes")
-            work.adopt("votes", two_point_step(work["field"], target, periodic=_AROUND))
-            _hold_waves(work["votes"], target, stage.region, histograms)
+            work.adopt("votes", two_point_step(work["field"], target, periodic=_AROUND, free=free))
+            _hold_waves(work["votes"], target, stage.region, stage.aims.histograms)
             self._make_votes(stage)
+        elif free is not None:
+            self._make_votes(stage, matched=False)
 
     def leave(self, stage: NovelLayoutStage | PassStage) -> None:
         """Make the field of the layout: a step was the last, so its votes are those of a field."""
@@ -419,6 +481,7 @@ class NovelRounds(CoarseToFine[Any]):
         work, grid, trim = self.work, stage.grid, 1 if stage.part.level == 0 else 0
         work.enter("vote")
         work.adopt("votes", cast_votes(grid, work["match0"], work["weight0"], trim=trim))
+        self.join_votes(grid.region)
         self.match_field(grid.region, grid.targets)
 
     def correct(self, stage: PassStage, number: int) -> None:
@@ -455,7 +518,7 @@ class NovelRounds(CoarseToFine[Any]):
         """Take over the arrays of a checkpoint."""
         self.debt = arrays.pop("debt", None)
         if isinstance(stage, NovelLayoutStage):
-            self.work.enter("match")
+            self._open_layout(stage)
         else:
             self._open(stage, "match")
             self.work.adopt("match0", arrays.pop("match"))
@@ -476,6 +539,10 @@ def _hold_waves(
     region: Region,
     histograms: tuple[Histogram, ...] | None,
 ) -> None:
-    """Bring the long waves of votes to the exemplars', in place."""
+    """Bring the long waves of votes to the exemplars', in place; not beside known voxels, whose own
+    they cannot change.
+    """
+    if region.free is not None:
+        return
     assert target.waves is not None  # `aims_of` learns them
     adjust_long_waves(votes, target.waves, lambda made: match_votes(region, made, histograms))

@@ -183,7 +183,7 @@ def settle_small_bodies(
     periodic : three bools
         Axes along which a body may lie across the faces; along the others it is cut off there.
     mask : (Z, Y, X) bool, optional
-        Only there bodies are counted as wanted, and placed.
+        Only there bodies are counted, removed and placed.
 
     Returns
     -------
@@ -197,7 +197,7 @@ def settle_small_bodies(
         for body in bodies.placed
         if (max(body.inside.shape) - 2 * _APART) * _PART <= min(values.shape)
     ]
-    found = _by_size(_components_of(values, label, _CORNERS))
+    found = _by_size(_components_of(values, label, _CORNERS), mask)
     before = _components_of(values, label, _FACES)
     added = 0  # voxels
     report = {"wanted": 0.0, "found": 0.0, "removed": 0, "added": 0}
@@ -213,7 +213,7 @@ def settle_small_bodies(
                 report["added"] += 1
                 added += body.voxels
     excess: list[tuple[int, np.ndarray, float]] = []
-    for kind, those in sorted(_by_size(before).items()):
+    for kind, those in sorted(_by_size(before, mask).items()):
         share = bodies.density.get(kind, 0.0) * volume / sum(weight for *_, weight in those)
         fewer = int(np.floor(len(those) * max(0.0, 1 - share) + draw.random()))
         excess += [those[index] for index in draw.permutation(len(those))[:fewer]]
@@ -226,23 +226,31 @@ def settle_small_bodies(
     return {name: round(count) for name, count in report.items()}
 
 
-def body_stages(shape: Sequence[int], channels: int) -> tuple[Stage, ...]:
-    """Declare the arrays of the count: votes, labels, and the runs of a phase."""
+def body_stages(shape: Sequence[int], channels: int, *, known: bool) -> tuple[Stage, ...]:
+    """Declare the arrays of the count: votes, labels, the runs of a phase, and beside known voxels
+    the free ones.
+    """
     runs = int(np.prod(shape)) // _RUN
     arrays = {
         "votes": Array((channels, *shape), np.int16),
         "values": Array(shape, np.uint8),
+        "free": Array(shape, bool) if known else None,
         "runs": Array(RUN_BYTES * runs, np.uint8, at_most=True),
     }
     return (Stage("small bodies", arrays),)
 
 
-def _by_size(found: Runs) -> dict[int, list[tuple[int, np.ndarray, float]]]:
-    """Return number, box and weight of the small components, by size class."""
+def _by_size(
+    found: Runs, mask: np.ndarray | None
+) -> dict[int, list[tuple[int, np.ndarray, float]]]:
+    """Return number, box and weight of the small components within a mask, by size class."""
     kinds: dict[int, list[tuple[int, np.ndarray, float]]] = {}
     for place, box, weight in _small_ones(found, found.shape, 1):
-        kind = _size_class(int(found.sizes[place - 1]))
-        kinds.setdefault(kind, []).append((place, box, weight))
+        sides = _sides(box)
+        body = found.labels(sides) == place
+        if mask is None or mask[tuple(slice(a, b) for a, b in sides)][body].all():
+            kind = _size_class(int(found.sizes[place - 1]))
+            kinds.setdefault(kind, []).append((place, box, weight))
     return kinds
 
 

@@ -65,6 +65,20 @@ class Region:
             shape, self.wraps, extend(self.free, 0), extend(self.low, -127), extend(self.high, 127)
         )
 
+    def continue_on_torus(self, shape: tuple[int, ...]) -> Region:
+        """Continue the region to a torus of `shape`; added voxels are free."""
+
+        def extend(values: np.ndarray | None, fill: int) -> np.ndarray | None:
+            return None if values is None else _extend(values, shape, fill)
+
+        return Region(
+            shape,
+            (True, True, True),
+            extend(self.free, 1),
+            extend(self.low, -127),
+            extend(self.high, 127),
+        )
+
     def active(self, grid: Sequence[int], *, box: Triple, steps: Triple) -> np.ndarray:
         """Mark the sites whose neighbourhood holds a free voxel, of a region that is covered."""
         free = self.free
@@ -121,6 +135,15 @@ class Region:
             return np.asarray(part.reshape(z, 2, y, 2, x, 2).any(axis=(1, 3, 5)))
 
         return Region(shape, self.wraps, make_by_slabs(any_of_eight, shape, bool))
+
+    def unsettled(self) -> np.ndarray | None:
+        """Mark the voxels whose field the bounds leave open; None without bounds."""
+        low, high = self.low, self.high
+        if low is None or high is None:
+            return None
+        return make_by_slabs(
+            lambda a, b: (low[:, a:b] < high[:, a:b]).any(axis=0), self.shape, bool
+        )
 
     def clip_to_bounds(self, field: np.ndarray) -> np.ndarray:
         """Clip a field (C, Z, Y, X), which nobody else holds, to the bounds of known voxels, in
@@ -179,6 +202,27 @@ def regions_of(
             )
             region = replace(region, free=intersection(region.free, complement(known)))
     return regions
+
+
+def has_cube(mask: np.ndarray, width: int) -> bool:
+    """Return whether a cube of `width` voxels fits into a mask (one that is
+    thinner along an axis may fill that axis).
+    """
+    reach = [min(width, side) for side in mask.shape]
+    deep = np.zeros(mask.shape[1:], np.int32)  # planes up to this one in which a line is inside
+    for plane in mask:
+        deep = np.where(plane, deep + 1, 0)
+        room = deep >= reach[0]
+        for axis in (0, 1):
+            sums = np.cumsum(room, axis=axis, dtype=np.int32)
+            sums = np.concatenate([np.zeros_like(sums.take([0], axis)), sums], axis)
+            cells = np.arange(room.shape[axis] - reach[1 + axis] + 1)
+            room = (
+                sums.take(cells + reach[1 + axis], axis) - sums.take(cells, axis) == reach[1 + axis]
+            )
+        if room.any():
+            return True
+    return False
 
 
 def _share(known: np.ndarray) -> np.ndarray:

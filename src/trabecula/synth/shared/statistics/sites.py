@@ -5,7 +5,7 @@ voxels that they hold.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -74,6 +74,15 @@ class Sites:
     def holds_any(self) -> bool:
         """Return whether any site takes part."""
         return self.active is None or any(plane.any() for plane in self.active)
+
+    def around(self, inside: np.ndarray) -> Sites:
+        """Return the sites whose middle is `inside` (Z, Y, X) bool; all where none is."""
+        middles = [
+            at[w // 2 :: t][:count]
+            for at, w, t, count in zip(self.places, self.box, self.steps, self.counts, strict=True)
+        ]
+        active = inside[np.ix_(*middles)]
+        return replace(self, active=active) if active.any() else self
 
     def levels(self, field: np.ndarray) -> np.ndarray:
         """Round the votes (C, Z, Y, X) that the sites cover to int8."""

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -53,6 +54,7 @@ def transport_neighbourhoods(
     strength: float = 1.5,
     periodic: Sequence[bool] = (True, True, True),
     free: np.ndarray | None = None,
+    counted: np.ndarray | None = None,
 ) -> np.ndarray:
     """Move every neighbourhood of a grid towards the distribution of its view, and average all
     overlaps: one round.
@@ -80,6 +82,9 @@ def transport_neighbourhoods(
     free : (Z, Y, X) bool, optional
         Only neighbourhoods that hold such a voxel take part, and only such voxels change. Default:
         all.
+    counted : (Z, Y, X) bool, optional
+        Only neighbourhoods around such a voxel are to have the distribution: others move as they
+        do. Default: all that take part.
 
     Returns
     -------
@@ -94,7 +99,7 @@ def transport_neighbourhoods(
         round_ = SlicedRound(key, number * len(views) + place, step, strength)
         around = [periodic[a] for a in axis_order(axis)]
         if axis == 0:
-            add_transported(field, slices, round_, around, free, total, votes)
+            add_transported(field, slices, round_, around, free, total, votes, counted)
             continue
         work.adopt("seen", put_axis_first(field, axis))
         if free is not None:
@@ -178,6 +183,7 @@ def add_transported(
     free: np.ndarray | None,
     total: np.ndarray,
     votes: np.ndarray,
+    counted: np.ndarray | None = None,
 ) -> None:
     """Add the moved neighbourhoods that hold a voxel to total (C, Z, Y, X) int32, and their number
     to votes (Z, Y, X) int32.
@@ -200,12 +206,17 @@ def add_transported(
     turn = rotation(round_.key, round_.number, size).astype(np.float32)
     back = turn.T.astype(np.float64)
 
-    def along(start: int, stop: int) -> Iterator[np.ndarray]:
+    def along(sites: Sites, start: int, stop: int) -> Iterator[np.ndarray]:
         for rows in sites.rows(features, start, stop, few=AT_ONCE):
             yield rows.astype(np.float32) @ turn[:count]
 
     with one_blas_thread():
-        transport = Transport.between(along, len(features), slices.features @ turn)
+        transport = Transport.between(
+            partial(along, sites),
+            len(features),
+            slices.features @ turn,
+            None if counted is None else partial(along, sites.around(counted)),
+        )
 
     def rebuilt(rows: np.ndarray) -> np.ndarray:
         # Turned back it is size**2 too large.

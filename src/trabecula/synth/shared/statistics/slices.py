@@ -129,9 +129,14 @@ class Transport:
     table: np.ndarray
 
     @classmethod
-    def between(cls, ours: Parts, length: int, theirs: np.ndarray) -> Transport:
+    def between(
+        cls, ours: Parts, length: int, theirs: np.ndarray, counted: Parts | None = None
+    ) -> Transport:
         """Find the transport from all parts of slabs that cover 0..length, a row at least, to
         `theirs` (m, P) float32.
+
+        Where only the parts `counted` are to have the distribution of theirs, a value goes where
+        the nearest below it goes that counts.
         """
         others = partial(_few, theirs)
         low, high = theirs.min(axis=0).astype(np.int64), theirs.max(axis=0).astype(np.int64)
@@ -140,7 +145,7 @@ class Transport:
 
         def tally_ours(start: int, stop: int) -> np.ndarray:
             counts = np.zeros((len(low), BINS), np.int64)
-            for rows in ours(start, stop):
+            for rows in (counted or ours)(start, stop):
                 tally(rows, low, size, counts)
             return counts
 
@@ -153,6 +158,8 @@ class Transport:
         mine = sum_slabs(tally_ours, length, least=2)
         table = np.zeros((len(low), BINS))
         destinations(mine, sum_slabs(tally_theirs, len(theirs), least=4 * AT_ONCE), table)
+        if counted is not None:
+            fill_gaps(mine, table)
         return cls(low, size, table)
 
     def moves(self, rows: np.ndarray) -> np.ndarray:
@@ -238,6 +245,22 @@ def destinations(mine, theirs, table):
                 left -= taken
             if mine[k, q] > 0:
                 table[k, q] = np.rint(reached / (np.float64(mine[k, q]) * m))
+
+
+@kernel
+def fill_gaps(mine, table):
+    """Give the bins of table (P, bins) of which mine holds nothing the place of the one below; the
+    first ones that of the first that holds something.
+    """
+    for k in range(len(mine)):
+        first = 0
+        while mine[k, first] == 0:
+            first += 1
+        for q in range(len(table[k])):
+            if q < first:
+                table[k, q] = table[k, first]
+            elif mine[k, q] == 0:
+                table[k, q] = table[k, q - 1]
 
 
 @kernel

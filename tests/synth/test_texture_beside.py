@@ -1,0 +1,103 @@
+"""New material of `texture` beside known voxels: they stay, it joins them, and none is copied."""
+
+import numpy as np
+import pytest
+from texture_runs import check_in_files
+
+import trabecula as tb
+from trabecula.engine import checkpoint
+from trabecula.synth.texture import novel_layout
+from trabecula.testing.peak import peak_bytes
+
+SHAPE = (48, 32, 33)
+HELD = 24  # planes
+
+
+def known_planes(shape, planes):
+    known = np.zeros(shape, bool)
+    known[:planes] = True
+    return known
+
+
+@pytest.fixture(scope="module")
+def bone():
+    return tb.sample("bone")
+
+
+@pytest.fixture(scope="module")
+def model(bone):
+    return tb.method("texture", sweeps=1, tries=2).fit(tb.crop(bone, 40, corner=(56, 56, 56)))
+
+
+@pytest.fixture(scope="module")
+def request_(bone):
+    piece = tb.crop(bone, SHAPE, corner=(0, 0, 0))
+    return tb.Request(SHAPE, seed=3, fixed=piece, known=known_planes(SHAPE, HELD))
+
+
+@pytest.fixture(scope="module")
+def made(model, request_, tmp_path_factory):
+    values, report = check_in_files(model, request_, tmp_path_factory.mktemp("files"))
+    assert "small_bodies" in report
+    return values
+
+
+@pytest.mark.whole
+def test_known_voxels_stay_and_what_joins_them_is_not_copied(model, request_, made):
+    assert np.array_equal(made[:HELD], request_.fixed.values[:HELD])
+    (exemplar,) = model.exemplars
+    copied = tb.measure.coherence(exemplar, made[HELD:], k=4, samples=300)[4]
+    assert copied < 0.2
+    changes = np.mean(made[1:] != made[:-1], axis=(1, 2))
+    assert changes[HELD - 1] < 2 * changes.mean()
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize(
+    ("name", "call"), [("transport_neighbourhoods", 13), ("coherent_search", 6)]
+)
+def test_interrupted_it_resumes_bit_for_bit(
+    name, call, model, request_, made, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(checkpoint, "EVERY", 0.0)
+    monkeypatch.setattr(checkpoint, "_SHARE", 0)
+    own, done = getattr(novel_layout, name), []
+
+    def broken(*parts, **settings):
+        done.append(name)
+        if len(done) == call:
+            raise KeyboardInterrupt
+        return own(*parts, **settings)
+
+    monkeypatch.setattr(novel_layout, name, broken)
+    with pytest.raises(KeyboardInterrupt), checkpoint.kept_at(tmp_path / "a.part"):
+        model.make(request_)
+    with checkpoint.kept_at(tmp_path / "a.part"):
+        again, _ = model.make(request_)
+    assert np.array_equal(again, made)
+
+
+def test_thin_gaps_and_single_slices_have_no_layout():
+    """A layout needs 8 coarse voxels, and slices are not seen on its level."""
+    assert novel_layout.has_room_beside(known_planes((40, 32, 32), 24), 1)
+    assert not novel_layout.has_room_beside(known_planes((40, 32, 32), 25), 1)
+    assert not novel_layout.has_room_beside(known_planes((40, 32, 32), 24), 2)
+    assert not novel_layout.has_room_beside(known_planes((40, 32, 32), 1), 1)
+
+
+def test_known_voxels_at_one_face_are_not_next_to_free_ones_at_the_other():
+    """On the torus an open axis is continued where a neighbourhood would hold both."""
+    fixed = tb.Image(np.zeros(SHAPE, np.uint8), "labels")
+    request = tb.Request(SHAPE, fixed=fixed, known=known_planes(SHAPE, HELD))
+    assert novel_layout.torus_shape(request, 0, 1) == (64, 48, 50)
+    hole = np.ones((64, 64, 64), bool)
+    hole[20:44, 20:44, 20:44] = False
+    fixed = tb.Image(np.zeros(hole.shape, np.uint8), "labels")
+    assert novel_layout.torus_shape(tb.Request(64, fixed=fixed, known=hole), 0, 1) == (64,) * 3
+
+
+@pytest.mark.whole
+def test_memory_is_forecast(model, request_, made):
+    plan = model.plan(request_)
+    arrays = plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
+    assert peak_bytes(lambda: model.make(request_)) <= arrays
