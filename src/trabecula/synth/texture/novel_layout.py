@@ -346,7 +346,7 @@ class NovelRounds(CoarseToFine[Any]):
         """Prepare the layout."""
         aims, region = self.aims[self.top], self.regions[self.top]
         if self.request.fixed is not None:
-            aims = with_fractions(aims, targets_of(region, aims.histograms, width=WIDTH))
+            aims = with_histograms(aims, targets_of(region, aims.histograms, width=WIDTH))
         moving = region.unsettled()
         return NovelLayoutStage(name, "laying out", _SLICED_ROUNDS, aims, region, moving)
 
