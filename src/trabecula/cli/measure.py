@@ -1,4 +1,6 @@
-"""`trabecula measure FILE [--phase NAME|all] [--quick | --full] [--memory GIB] [--json]`."""
+"""`trabecula measure FILE [--phase NAME|all] [--quick | --full] [--confidence [LEVEL]]
+[--sizes HTML] [--memory GIB] [--json]`.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     shared.add_phase(parser)
     shared.add_memory(parser, "a .zarr of labels that needs more is measured in slabs")
     shared.add_level(parser)
+    _add_confidence(parser)
     shared.add_reading(parser)
+
+
+def _add_confidence(parser: argparse.ArgumentParser) -> None:
+    """Add the intervals and their page."""
+    group = parser.add_argument_group("how sure the figures are")
+    group.add_argument(
+        "--confidence",
+        nargs="?",
+        const="",
+        metavar="LEVEL",
+        help="95 %% intervals of the material's own figures, and the side of a scan that gives "
+        "half-widths of 10, 5 and 1 %%; LEVEL is quick, default or full (default: that of the "
+        "figures)",
+    )
+    group.add_argument(
+        "--sizes",
+        metavar="HTML",
+        help="write a page of the intervals and of the spread over windows, by their size (implies "
+        "--confidence)",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -32,6 +55,12 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             "--full solves transport and stiffness of the whole material: leave out --full, or "
             "--phase"
+        )
+    if options.sizes is not None and options.confidence is None:
+        options.confidence = ""
+    if options.phase is not None and options.confidence is not None:
+        raise InputError(
+            "--confidence is of the solid and of every phase's fraction: leave out --phase"
         )
     found = _describe(options)
     if options.json:
@@ -58,6 +87,11 @@ def _describe(options: argparse.Namespace) -> dict[str, Any]:
         return _in_core(shared.load_exemplar(options.file, options), options)
     if options.crop:
         return _in_core(volume.centre(shared.box_of(options, options.file)), options)
+    if options.confidence is not None:
+        raise InputError(
+            f"{options.file} does not fit into memory, and intervals need the whole of what is "
+            "measured: give --crop N, or a coarser --level"
+        )
     _check_phase(volume.phases, options.phase)
     found = describe_slabs(volume, memory=options.memory, level=options.level, box=options.box)
     return found if options.phase is None else _select(found, options.phase)
@@ -67,14 +101,30 @@ def _in_core(image: Any, options: argparse.Namespace) -> dict[str, Any]:
     from trabecula.core.image import check_labels
     from trabecula.measure import describe, describe_phases
 
+    shared.note_trends([image], what="it")
     if options.phase is None:
-        return describe(image, level=options.level, box=options.box)
+        found = describe(image, level=options.level, box=options.box)
+        return found if options.confidence is None else found | _confidence(image, options)
     check_labels(image)
     _check_phase(image.phases, options.phase)
     found = describe_phases(
         image, level=options.level, phase=None if options.phase == "all" else options.phase
     )
     return {"shape": list(image.shape), "spacing": list(image.spacing), "unit": image.unit, **found}
+
+
+def _confidence(image: Any, options: argparse.Namespace) -> dict[str, Any]:
+    """Find the intervals; write their page where one is named."""
+    from trabecula.measure.confidence import confidence
+
+    level = options.confidence or options.level
+    intervals = confidence(image, level=level, box=options.box)
+    if options.sizes is not None:
+        from trabecula.report.page import write_page
+        from trabecula.report.size_page import size_page
+
+        write_page(size_page(image, intervals, level=level), options.sizes)
+    return {"confidence": {name: interval.to_json() for name, interval in intervals.items()}}
 
 
 def _check_phase(phases: Sequence[str], name: str | None) -> None:
@@ -96,8 +146,13 @@ def _select(found: Mapping[str, Any], phase: str) -> dict[str, Any]:
 
 
 def _show(found: Mapping[str, Any]) -> None:
-    """Print a line a figure, and below them a table with a column for every phase."""
-    terminal.show_mapping({name: value for name, value in found.items() if name not in EACH})
+    """Print a line a figure, and below them intervals, and a table with a column for every
+    phase.
+    """
+    apart = (*EACH, "confidence")
+    terminal.show_mapping({name: value for name, value in found.items() if name not in apart})
+    if "confidence" in found:
+        _show_intervals(found["confidence"], found["unit"])
     columns = found.get("phases")
     if not columns:
         return
@@ -138,3 +193,28 @@ def _show(found: Mapping[str, Any]) -> None:
                     ),
                 ]
             )
+
+
+def _show_intervals(intervals: Mapping[str, Mapping[str, Any]], unit: str) -> None:
+    """Print a line an interval, and notes where there is none."""
+    share = next(iter(intervals.values()))["coverage"] if intervals else 0.95
+    widths = ("0.1", "0.05", "0.01")
+    rows = [
+        (
+            f"{share:.0%} interval",
+            "from",
+            "to",
+            "+-",
+            *(f"{float(one):.0%}: {unit}" for one in widths),
+        )
+    ]
+    for name, one in intervals.items():
+        relative = "-" if one["relative"] is None else f"{one['relative']:.1%}"
+        ends = (terminal.brief(one["low"]), terminal.brief(one["high"]))
+        sides = (terminal.brief(one["side_for"][width]) for width in widths)
+        rows.append((name, *ends, relative, *sides))
+    print()
+    terminal.show_rows(rows)
+    for name, one in intervals.items():
+        if one["note"]:
+            print(f"{name}: {one['note']}")

@@ -15,6 +15,7 @@ from trabecula.measure.components import (
     largest_fraction,
     size_distribution,
 )
+from trabecula.measure.confidence import Interval, confidence
 from trabecula.measure.contacts import contact, contacts
 from trabecula.measure.copying import coherence, coherent_patches, diversity, sources
 from trabecula.measure.correlation import (
@@ -34,6 +35,7 @@ from trabecula.measure.evenness import Evenness, evenness
 from trabecula.measure.fabric import anisotropy, fabric
 from trabecula.measure.fractions import porosity, specific_surface, volume_fractions
 from trabecula.measure.grey import autocorrelation, histogram, kullback_leibler, ten_bins
+from trabecula.measure.mean_variance import SpatialCovariance, variance_of_means
 from trabecula.measure.mechanics import Stiffness, stiffness
 from trabecula.measure.minkowski import Minkowski, euler, euler_density, mean_curvature, minkowski
 from trabecula.measure.morphometry import connectivity_density, morphometry
@@ -59,8 +61,10 @@ from trabecula.measure.triple_lines import (
 __all__ = [
     "Effective",
     "Evenness",
+    "Interval",
     "Minkowski",
     "SkeletonGraph",
+    "SpatialCovariance",
     "Stiffness",
     "TripleLine",
     "anisotropy",
@@ -73,6 +77,7 @@ __all__ = [
     "component_sizes",
     "components",
     "conductivity",
+    "confidence",
     "connectivity_density",
     "contact",
     "contacts",
@@ -126,5 +131,6 @@ __all__ = [
     "triple_phase_lines",
     "two_point",
     "two_point_cluster",
+    "variance_of_means",
     "volume_fractions",
 ]

@@ -22,7 +22,7 @@ from itertools import product
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.report.quantiles import student
+from trabecula.numerics.quantiles import student
 
 LEAST_PART = 24
 """A part of fewer voxels a side says little about the material."""

@@ -16,14 +16,8 @@ from trabecula.report.band import LEAST_COUNT, LEAST_PART, LONG_RANGE, part_boxe
 from trabecula.report.metrics import Metric
 from trabecula.report.reference import Reference
 from trabecula.report.stationarity import Stationarity, find_trends
-from trabecula.report.structure import measure_structure
-
-_ALONG = {
-    "z": "along z",
-    "y": "along y",
-    "x": "along x",
-    "centre to rim": "from its centre to its rim",
-}
+from trabecula.report.structure import lengths_along_axes
+from trabecula.report.trend_text import trend_advice, trend_text
 
 
 @dataclass(frozen=True)
@@ -146,15 +140,16 @@ def exemplar_reasons(reference: Reference, *, what: str = "the exemplar") -> Ite
                 f"{what} is correlated {reach} and only {shortest:.0f} wide: it may be no typical "
                 "part of its material"
             )
-    named = exemplar.kind != "labels" or "void" in exemplar.phases
-    for trend in find_trends(exemplar, measure_structure(exemplar).lengths).trends if named else ():
-        if trend.found:
-            what_changes = "fraction of solid" if exemplar.kind == "labels" else "mean value"
-            yield (
-                f"{what} is not stationary, its {what_changes} runs from {trend.start:.3g} to "
-                f"{trend.end:.3g} {_ALONG[trend.name]}: one part of it is no sample of another "
-                "(crop it, or give the trend as a --target)"
-            )
+    yield from trend_reasons(exemplar, what=what)
+
+
+def trend_reasons(exemplar: Image, *, what: str = "the exemplar") -> Iterator[str]:
+    """Yield a reason for the surest trend of every quantity that has one."""
+    for trend in find_trends(exemplar, lengths_along_axes(exemplar)).surest:
+        yield (
+            f"{what} is not stationary, its {trend_text(trend)}: one part of it is no sample of "
+            f"another; {trend_advice(trend, exemplar.ndim)}"
+        )
 
 
 def picture_reason() -> str:

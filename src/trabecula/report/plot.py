@@ -22,19 +22,20 @@ def curve_plot(
     title: str,
     x_label: str,
     band: tuple[ArrayLike, ArrayLike] | None = None,
+    first: float = 0.0,
     step: float = 1.0,
     baseline: str | None = None,
 ) -> str:
-    """Draw curves over r = 0, step, 2 step, ...: the first full, the others dashed each in its way;
-    the band hatched.
+    """Draw curves over r = first, first + step, ...: the first full, the others dashed each in its
+    way; the band hatched.
 
     Parameters
     ----------
     curves : mapping of name to array (n,)
     title, x_label : str
     band : (low, high), arrays (n,), optional
-    step : float
-        Distance between points, in the unit of `x_label`.
+    first, step : float
+        Place of the first point and distance between points, in the unit of `x_label`.
     baseline : str, optional
         The curve of that name is drawn as the baseline: thin and grey.
 
@@ -49,12 +50,12 @@ def curve_plot(
     )
     everything = np.concatenate([*lines.values(), low, high])
     bottom, top = min(0.0, everything.min()), max(everything.max(), 1e-12)
-    right = step * max(1, max(len(line) for line in lines.values()) - 1)
+    right = first + step * max(1, max(len(line) for line in lines.values()) - 1)
     across = np.array([_LEFT, (_WIDTH - _LEFT - _RIGHT) / right])
     up = np.array([_HEIGHT - _BOTTOM, -(_HEIGHT - _TOP - _BOTTOM) / (top - bottom)])
 
     def points(curve: np.ndarray) -> list[str]:
-        x = across[0] + across[1] * step * np.arange(len(curve))
+        x = across[0] + across[1] * (first + step * np.arange(len(curve)))
         return [
             f"{a:.1f},{b:.1f}" for a, b in zip(x, up[0] + up[1] * (curve - bottom), strict=True)
         ]
@@ -85,7 +86,7 @@ def curve_plot(
         )
     for style, line in zip(_styles(list(lines), baseline), lines.values(), strict=True):
         body.append(f'<polyline class="{style}" points="{" ".join(points(line))}"/>')
-    return _svg(_WIDTH, _HEIGHT, title, body)
+    return svg(_WIDTH, _HEIGHT, title, body)
 
 
 def _styles(names: Sequence[str], baseline: str | None) -> list[str]:
@@ -124,7 +125,7 @@ def place_plot(values: Sequence[float | None], band: tuple[float, float], own: f
                 body.append(
                     f'<text class="mark" x="{at:.1f}" y="12.3" text-anchor="middle">{place}</text>'
                 )
-    return _svg(width, height, "place in the band", body)
+    return svg(width, height, "place in the band", body)
 
 
 def _dot(at: float, below: bool, above: bool, width: int) -> str:
@@ -152,10 +153,10 @@ def key(names: Sequence[str], *, band: str | None, baseline: str | None = None) 
     parts = []
     for style, name in zip(_styles(names, baseline), names, strict=True):
         line = f'<line class="{style}" x1="0" x2="36" y1="7" y2="7"/>'
-        parts.append(f"<span>{_svg(36, 14, name, [line], fixed=True)} {escape(name)}</span>")
+        parts.append(f"<span>{svg(36, 14, name, [line], fixed=True)} {escape(name)}</span>")
     if band:
         swatch = '<rect class="band" x="0" y="1" width="36" height="12"/>'
-        parts.append(f"<span>{_svg(36, 14, band, [swatch], fixed=True)} {escape(band)}</span>")
+        parts.append(f"<span>{svg(36, 14, band, [swatch], fixed=True)} {escape(band)}</span>")
     return f'<p class="key">{" ".join(parts)}</p>'
 
 
@@ -206,7 +207,8 @@ def ticks(low: float, high: float, *, count: int = 5) -> list[float]:
     return [round(n * step, 12) for n in range(first, math.floor(high / step + 1e-9) + 1)]
 
 
-def _svg(width: int, height: int, label: str, body: Sequence[str], *, fixed: bool = False) -> str:
+def svg(width: int, height: int, label: str, body: Sequence[str], *, fixed: bool = False) -> str:
+    """Wrap what is drawn as an SVG figure; small and fixed ones keep their size in pixels."""
     size = f' width="{width}" height="{height}"' if fixed or width < 200 else ""
     return (
         f'<svg viewBox="0 0 {width} {height}"{size} role="img" '
