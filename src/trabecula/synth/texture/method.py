@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain
 from typing import Any
 
@@ -35,6 +36,13 @@ from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve
 from trabecula.synth.shared.stages import bound_stages, usage_bytes, value_stages
+from trabecula.synth.shared.statistics.density_slopes import (
+    DensitySlopes,
+    density_slopes,
+    density_weights,
+    weight_for,
+)
+from trabecula.synth.shared.statistics.slices import SliceTarget
 from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
 from trabecula.synth.texture import CAPABILITIES, novel_layout
 from trabecula.synth.texture.config import TextureConfig
@@ -66,6 +74,10 @@ from trabecula.synth.texture.small_bodies import (
     settle_small_bodies,
 )
 
+# of the windows that tell dense places from sparse ones: structure lengths, voxels at least, and
+# so many of them along the exemplar's shortest side
+_WINDOW, _NARROWEST, _WINDOWS = 2, 8, 6
+_LEAST_LEFT = 1e-6  # of a phase
 _SETTLED = 3  # times that small bodies are counted and settled
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _EACH, _CHANNEL = 52, 14  # bytes of a voxel, and of its channels, while grey values are learnt
@@ -313,15 +325,48 @@ class TextureModel(Model):
         schedule = novel_layout.passes(
             self.novelty, self.top, self.config.layout, beside=request.fixed is not None
         )
-        aims = self.aims
+        aims, slices = self.aims, self.slices
         if request.target:
-            aims = [
-                novel_layout.with_histograms(
-                    one, self.content.target_histograms(one.histograms, request)
-                )
-                for one in aims
-            ]
-        return novel_layout.NovelRounds(aims, self.slices, schedule, request, self.config, around)
+            aims, slices = self._at_target(request)
+        return novel_layout.NovelRounds(aims, slices, schedule, request, self.config, around)
+
+    def _at_target(self, request: Request) -> tuple[list[novel_layout.Aims], SliceTarget]:
+        """Return the targets of material with a target porosity: those of the exemplar's denser or
+        sparser places as far as these go, and from there on values inside a phase become more or
+        less frequent.
+        """
+        assert isinstance(self.content, Labels)
+        asked = self.content.fractions_of_target(request)
+        assert asked is not None  # the only target there is
+        own, slopes = self.content.fractions, self._slopes
+        t = weight_for(slopes, float(asked[1] - own[1]))
+        reached = np.clip(own + np.array([-1, 1]) * t * slopes[0].fraction, _LEAST_LEFT, 1)
+        aims = [
+            novel_layout.at_density(one, slope, t)
+            for one, slope in zip(self.aims, slopes, strict=True)
+        ]
+        aims = [
+            novel_layout.with_histograms(one, self.content.reweight(one.histograms, reached, asked))
+            for one in aims
+        ]
+        coarsest = self._own[self.top]
+        weights = [1 + t * g for g in density_weights(coarsest, self._window(self.top))]
+        return aims, novel_layout.slices_for(coarsest, weights)
+
+    @cached_property
+    def _slopes(self) -> list[DensitySlopes]:
+        """Measure how the targets of every level that is laid out change with density."""
+        return [
+            density_slopes(own, aims.correlations, width=self._window(level))
+            for level, (own, aims) in enumerate(zip(self._own, self.aims, strict=False))
+        ]
+
+    def _window(self, level: int) -> int:
+        """Return the width of the windows that tell dense places from sparse ones."""
+        length = novel_layout.structure_length(self.exemplars)
+        shortest = min(min(exemplar.shape) for exemplar in self.exemplars)
+        width = min(max(_WINDOW * length, _NARROWEST), shortest / _WINDOWS)
+        return max(round(width / 2**level), 2)
 
     def _regions_around(self, request: Request) -> list[Region]:
         """Return the regions of new material beside known voxels, finest first; none where nothing

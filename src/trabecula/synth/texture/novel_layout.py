@@ -31,6 +31,7 @@ from trabecula.synth.shared.matching.rounds import cast_votes, match_votes, refi
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.slabs import complement, count_true
 from trabecula.synth.shared.stages import LevelMemory, layout_stages, region_arrays
+from trabecula.synth.shared.statistics.density_slopes import DensitySlopes
 from trabecula.synth.shared.statistics.long_waves import (
     adjust_long_waves,
     long_waves_of,
@@ -196,11 +197,24 @@ def with_histograms(aims: Aims, histograms: tuple[Histogram, ...]) -> Aims:
     return replace(aims, histograms=histograms, correlations=reweighted)
 
 
-def slices_for(fields: Sequence[np.ndarray]) -> SliceTarget:
+def at_density(aims: Aims, slopes: DensitySlopes, t: float) -> Aims:
+    """Return the targets of one level for places of the exemplar that weigh 1 + t g."""
+    histograms = tuple(
+        slopes.histogram(own, channel, t) for channel, own in enumerate(aims.histograms)
+    )
+    return replace(
+        aims, histograms=histograms, correlations=slopes.correlations(aims.correlations, t)
+    )
+
+
+def slices_for(
+    fields: Sequence[np.ndarray], weights: Sequence[np.ndarray] | None = None
+) -> SliceTarget:
     """Describe the target of the sliced rounds of the coarsest level."""
     shortest = min(min(field.shape[1:]) for field in fields)
     fitting = [width for width in _SLICED_WIDTHS if shortest >= width + _ROOM]
-    return slice_target(fields, width=fitting[0] if fitting else _SLICED_WIDTHS[-1])
+    width = fitting[0] if fitting else _SLICED_WIDTHS[-1]
+    return slice_target(fields, width=width, weights=weights)
 
 
 def torus_shape(request: Request, level: int, top: int) -> tuple[int, ...]:

@@ -55,13 +55,24 @@ class Histogram:
         """Return a target of numbers whose values above zero weigh `positive` times as much, and
         those below `negative` times.
         """
-        counts = np.diff(target.up_to, prepend=0) / target.up_to[-1]
-        counts = counts * np.where(
-            target.values > 0, positive, np.where(target.values < 0, negative, 1.0)
-        )
-        parts = np.rint(counts / counts.sum() * _PARTS).astype(np.int64)
+        weights = np.where(target.values > 0, positive, np.where(target.values < 0, negative, 1.0))
+        return cls._of_shares(target.values, target.shares * weights)
+
+    @classmethod
+    def _of_shares(cls, values: np.ndarray, shares: np.ndarray) -> Histogram:
+        """Build one from the shares of values, whatever they add up to."""
+        parts = np.rint(shares / shares.sum() * _PARTS).astype(np.int64)
         present = parts > 0
-        return cls(target.values[present], np.cumsum(parts[present]))
+        return cls(values[present], np.cumsum(parts[present]))
+
+    @property
+    def shares(self) -> np.ndarray:
+        """Return the share of all occurrences that each value has."""
+        return np.diff(self.up_to, prepend=0) / self.up_to[-1]
+
+    def add(self, changes: np.ndarray) -> Histogram:
+        """Return one whose shares differ by `changes`; none falls below 0."""
+        return Histogram._of_shares(self.values, np.maximum(self.shares + changes, 0))
 
     def values_at(self, middle: np.ndarray, size: int) -> np.ndarray:
         """Look up the values at some places of a ranking of `size`."""

@@ -139,16 +139,26 @@ class Labels(Content):
         """Make values inside every phase as much more or less frequent as a target porosity
         requires.
         """
-        asked = self._fractions_of_target(request)
+        asked = self.fractions_of_target(request)
         if asked is None:
             return tuple(histograms)
-        aims = []
-        for phase, histogram in zip(
-            range(len(self.present))[-len(histograms) :], histograms, strict=True
-        ):
-            own, wanted = float(self.fractions[phase]), float(asked[phase])
-            aims.append(Histogram.reweight(histogram, wanted / own, (1 - wanted) / (1 - own)))
-        return tuple(aims)
+        return self.reweight(histograms, self.fractions, asked)
+
+    def reweight(
+        self, histograms: Sequence[Histogram], own: np.ndarray, asked: np.ndarray
+    ) -> tuple[Histogram, ...]:
+        """Make values inside every phase as much more or less frequent as its fraction is to
+        change.
+        """
+        phases = range(len(self.present))[-len(histograms) :]
+        return tuple(
+            Histogram.reweight(
+                histogram,
+                float(asked[phase]) / float(own[phase]),
+                (1 - float(asked[phase])) / (1 - float(own[phase])),
+            )
+            for phase, histogram in zip(phases, histograms, strict=True)
+        )
 
     def to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
         free = free_voxels(request)
@@ -160,7 +170,7 @@ class Labels(Content):
         """Return the fractions of the free voxels: the exemplar's, or those of the exemplar and of
         known voxels near by together, or those that meet a target.
         """
-        asked = self._fractions_of_target(request)
+        asked = self.fractions_of_target(request)
         if asked is not None:
             return self._remaining_fractions(asked, request, free)
         if free is None or request.fixed is None or request.known is None:
@@ -170,7 +180,7 @@ class Labels(Content):
         own = counts[list(self.present)] / max(1, held)
         return pool_fractions(held, count_true(free), own, self.fractions)
 
-    def _fractions_of_target(self, request: Request) -> np.ndarray | None:
+    def fractions_of_target(self, request: Request) -> np.ndarray | None:
         """Return the fractions of a target porosity; the other phases keep their proportions."""
         asked = porosity_of(request.target)
         if asked is None:

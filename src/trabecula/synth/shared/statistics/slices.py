@@ -57,6 +57,7 @@ def slice_target(
     variance: float = 0.95,
     most: int = 64,
     flat: bool = False,
+    weights: Sequence[np.ndarray] | None = None,
 ) -> SliceTarget:
     """Describe the neighbourhoods of fields (C, Z, Y, X) int8 of one number of channels, about 65
     thousand of them at most.
@@ -74,6 +75,8 @@ def slice_target(
     flat : bool
         Whether neighbourhoods are squares of one plane z, as of a picture (C, 1, Y, X), rather than
         cubes.
+    weights : sequence of arrays (Z, Y, X), optional
+        None below 0: how often neighbourhoods in the middle of each voxel count, over their mean.
     """
     basis = principal_basis(fields[0], width=width, variance=variance, most=most, flat=flat)
     count = basis.vectors.shape[1]
@@ -86,6 +89,8 @@ def slice_target(
     rows = np.concatenate(
         [project(field, basis, step=stride).reshape(-1, count) for field in fields]
     )
+    if weights is not None:
+        rows = rows[_chosen_rows(weights, basis.box, stride)]
     features = np.zeros((len(rows), size), np.float32)
     features[:, :count] = rows
     back = np.zeros((size, len(basis.vectors)))
@@ -96,6 +101,24 @@ def slice_target(
     )
     rest = np.rint(UNIT * rest).astype(np.int64)
     return SliceTarget(basis, features, back, rest)
+
+
+def _chosen_rows(weights: Sequence[np.ndarray], box: Triple, stride: int) -> np.ndarray:
+    """Choose as many of the neighbourhoods as there are, each as often as it weighs (systematic
+    sampling).
+    """
+    middles = [
+        each[
+            tuple(
+                slice(w // 2, side - w + 1 + w // 2, stride)
+                for side, w in zip(each.shape, box, strict=True)
+            )
+        ]
+        for each in weights
+    ]
+    up_to = np.cumsum(np.concatenate([each.ravel() for each in middles]), dtype=np.float64)
+    places = (np.arange(len(up_to)) + 0.5) * (up_to[-1] / len(up_to))
+    return np.minimum(np.searchsorted(up_to, places), len(up_to) - 1)
 
 
 def _mean_of_neighbourhoods(fields: Sequence[np.ndarray], box: Triple) -> np.ndarray:

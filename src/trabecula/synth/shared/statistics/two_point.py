@@ -130,7 +130,7 @@ def reweight_target(
 
 
 def _mean(histogram: Histogram, softness: float) -> float:
-    """Return the mean of the soft indicator."""
+    """Return the mean of the soft indicator of a field with this histogram."""
     counts = np.diff(histogram.up_to, prepend=0)
     soft = soft_indicator(histogram.values, softness).astype(np.float64)
     return float((soft * counts).sum() / counts.sum())
