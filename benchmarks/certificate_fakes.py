@@ -25,17 +25,24 @@ def certificate_fakes() -> None:
     """Verdicts at level "quick" of real parts beside the exemplar's, and of hollow, graded and
     halved fakes of them.
     """
-    row = table("exemplar", "image", "verdict", "evenness", "failed", "of", "first that fails")
+    heads = ("verdict", "evenness", "Hellinger", "failed", "of", "first that fails")
+    row = table("exemplar", "image", *heads)
     for name, scan in scans().items():
         for what, exemplar, image in cases(scan):
             found = tb.verify(exemplar, image, level="quick")
             judged = sum(metric.passed is not None for metric in found.metrics.values())
             even = {True: "pass", False: "FAIL", None: "-"}[found.groups.get("evenness")]
+            apart = [
+                metric.value
+                for figure, metric in found.metrics.items()
+                if figure.startswith("fraction_hellinger_medium")
+            ]
             row(
                 name,
                 what,
                 found.verdict,
                 even,
+                f"{max(apart, default=np.nan):.3f}",
                 str(len(found.failed)),
                 str(judged),
                 next(iter(found.failed), ""),

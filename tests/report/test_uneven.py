@@ -7,7 +7,7 @@ import pytest
 
 import trabecula as tb
 from trabecula.measure import signed_distance
-from trabecula.measure.evenness import depth_of
+from trabecula.measure.evenness import depth_of, window_means
 from trabecula.measure.streaming.cells import cells_of
 from trabecula.report.evenness import (
     choose_windows,
@@ -175,3 +175,21 @@ def test_another_sample_of_a_material_that_is_no_noise_passes():
     )
     html = found.to_html()
     assert 'class="verdict pass"' in html and "Not examined: transport and stiffness" in html
+
+
+def test_the_hellinger_distance_is_reported_and_literal():
+    """It is that of histograms in the exemplar's tenths, 0 to itself, and gives no verdict."""
+    exemplar, other = (tb.Image(gaussian(seed), "labels") for seed in (1, 2))
+    halves = fakes(exemplar, 2.0)["halves"]
+    found = tb.verify(exemplar, other, halves, exemplar, level="quick")
+    apart = [one.metrics["fraction_hellinger_medium"].value for one in found]
+    assert apart[2] < 0.01 and apart[0] < 0.25 < apart[1]
+    assert all(one.metrics["fraction_hellinger_medium"].passed is None for one in found)
+    windows = choose_windows(exemplar, [halves])
+    edge = windows.edges[len(windows.edges) // 2]
+    counts = 3 * (round(edge / windows.cell),)
+    cells = [cells_of(image, cell=windows.cell) for image in (exemplar, halves)]
+    own, theirs = (window_means(one.shares[1], counts).ravel() for one in cells)
+    edges = np.quantile(own, np.linspace(0, 1, 11)[1:-1])
+    p, q = (np.bincount(np.searchsorted(edges, v), minlength=10) / v.size for v in (own, theirs))
+    assert apart[1] == pytest.approx(np.sqrt(1 - np.sqrt(p * q).sum()), abs=0.03)

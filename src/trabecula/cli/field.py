@@ -12,6 +12,7 @@ from trabecula.cli import terminal
 
 KINDS = {
     "measure": "of an image: a descriptor of the window around every voxel",
+    "density": "of an image: a local density that varies as the image's, of any shape",
     "ramp": "linear from one face to the opposite one",
     "radial": "linear from a middle outwards",
     "formula": "by a formula in z y x (positions) and Z Y X (sides)",
@@ -120,6 +121,40 @@ def _measure(fields: Any, options: argparse.Namespace) -> Any:
     image = shared.load_exemplar(options.file, options)
     return fields.measure(
         image, options.name, size=shared.integer(options.size, name="--size"), phase=options.phase
+    )
+
+
+def _add_density(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "file", metavar="FILE", help="volume or picture of labels, or a scan, or sample:NAME"
+    )
+    parser.add_argument(
+        "--shape",
+        nargs="+",
+        required=True,
+        metavar="N",
+        help="voxels, also more than FILE has: one number (a cube), z y x, or y x",
+    )
+    parser.add_argument("--seed", default="0", metavar="N", help="0 .. 2**63 - 1 (default 0)")
+    parser.add_argument(
+        "--window",
+        metavar="N",
+        help="side of the windows whose density is learned, voxels (default: a quarter of the "
+        "shortest side)",
+    )
+    parser.add_argument("--phase", metavar="NAME", help="phase that is measured (default: solid)")
+    shared.add_reading(parser)
+
+
+def _density(fields: Any, options: argparse.Namespace) -> Any:
+    image = shared.load_exemplar(options.file, options)
+    shape = shared.integers(options.shape, name="--shape")
+    return fields.density_like(
+        image,
+        shape[0] if len(shape) == 1 else shape,
+        window=None if options.window is None else shared.integer(options.window, name="--window"),
+        phase=options.phase,
+        seed=shared.integer(options.seed, name="--seed"),
     )
 
 
@@ -286,6 +321,7 @@ def _simp(fields: Any, options: argparse.Namespace) -> Any:
 
 _ARGUMENTS = {
     "measure": _add_measure,
+    "density": _add_density,
     "ramp": _add_ramp,
     "radial": _add_radial,
     "formula": _add_formula,
@@ -295,6 +331,7 @@ _ARGUMENTS = {
 }
 _MAKERS = {
     "measure": _measure,
+    "density": _density,
     "ramp": _ramp,
     "radial": _radial,
     "formula": _formula,

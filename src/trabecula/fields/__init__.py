@@ -8,6 +8,7 @@ it has the result's shape. `windowed` returns the descriptors of every window as
 from collections.abc import Callable
 
 from trabecula.core.image import Image
+from trabecula.fields.density import density_like
 from trabecula.fields.grid import formula, picture, radial, ramp
 from trabecula.fields.interpolate import fill, interpolate, resample, rescale
 from trabecula.fields.local import directions, measure, windowed
@@ -16,6 +17,7 @@ from trabecula.fields.topology import case, simp
 # By their names in a recipe's step, so that it can be replayed.
 FROM_AN_IMAGE: dict[str, Callable[..., Image]] = {
     "measure": measure,
+    "density_like": density_like,
     "picture": picture,
     "resample": resample,
     "rescale": rescale,
@@ -33,6 +35,7 @@ __all__ = [
     "FROM_AN_IMAGE",
     "FROM_NOTHING",
     "case",
+    "density_like",
     "directions",
     "fill",
     "formula",

@@ -34,6 +34,9 @@ LARGEST = 0.4
 spread.
 """
 
+QUANTILES = 41
+"""Of the windows of one size."""
+
 AXES = ("z", "y", "x")
 
 
@@ -50,6 +53,8 @@ class Spread:
     highest: float
     kurtosis: float
     """Fourth moment over the squared variance; 3 where window means are normally distributed."""
+    quantiles: tuple[float, ...] = ()
+    """At 0, 1 / 40, ..., 1 of the windows; empty of the direction."""
 
 
 @dataclass(frozen=True)
@@ -266,7 +271,9 @@ def _spread(edge: float, means: np.ndarray) -> Spread:
     mean, variance = float(means.mean()), float(means.var())
     fourth = float(((means - mean) ** 4).mean())
     kurtosis = fourth / variance**2 if variance > 0 else 3.0
-    return Spread(edge, mean, math.sqrt(variance), float(means.min()), float(means.max()), kurtosis)
+    quantiles = np.quantile(means, np.linspace(0, 1, QUANTILES))
+    ends = float(quantiles[0]), float(quantiles[-1])
+    return Spread(edge, mean, math.sqrt(variance), *ends, kurtosis, tuple(quantiles.tolist()))
 
 
 def _direction(edge: float, faces: Sequence[np.ndarray]) -> Spread:

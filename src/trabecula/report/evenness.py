@@ -31,14 +31,17 @@ from trabecula.measure.evenness import (
     windows_for,
 )
 from trabecula.measure.streaming.cells import CellMeans
+from trabecula.numerics.quantiles import student, variance_ratio
 from trabecula.report.band import CONFIDENCE
-from trabecula.report.quantiles import student, variance_ratio
 
 SIZES = ("small", "medium", "large")
 """Of windows, as the names of figures end."""
 
 WHATS = ("fraction", "surface", "direction")
 """Quantities that are local."""
+
+CLASSES = 10
+"""Of window means, in which two distributions are compared."""
 
 LEAST_FREEDOM = 4.0
 """Fewer independent windows in the exemplar know no spread."""
@@ -90,6 +93,7 @@ def average_evenness(found: Sequence[Evenness]) -> Evenness:
             lowest=min(each.lowest for each in spreads),
             highest=max(each.highest for each in spreads),
             kurtosis=float(np.mean([each.kurtosis for each in spreads])),
+            quantiles=tuple(np.mean([each.quantiles for each in spreads], axis=0).tolist()),
         )
 
     def merge_all(name: str) -> tuple[Spread, ...]:
@@ -139,6 +143,24 @@ def evenness_numbers(
             trend = found.trend if what == "fraction" else found.surface_trend
             numbers |= {f"{what}_trend_{axis}{suffix}": value for axis, value in trend.items()}
     return numbers
+
+
+def hellinger_distances(exemplar: Evenness, image: Evenness, suffix: str = "") -> dict[str, float]:
+    """Return the Hellinger distance of the local fraction's distribution to the exemplar's, of each
+    size of windows, 0 to 1.
+
+    Classes are the tenths of the exemplar's windows: sqrt(1 - sum sqrt(p q)), p = 1 / 10.
+    """
+    found = {}
+    names = SIZES[-len(exemplar.fraction) :]
+    for size, own, other in zip(names, exemplar.fraction, image.fraction, strict=True):
+        levels = np.linspace(0, 1, len(own.quantiles))
+        edges = np.interp(np.arange(1, CLASSES) / CLASSES, levels, own.quantiles)
+        below = np.interp(edges, other.quantiles, levels, left=0, right=1)
+        shares = np.diff(below, prepend=0, append=1)
+        overlap = float(np.sqrt(np.maximum(shares, 0) / CLASSES).sum())
+        found[f"fraction_hellinger_{size}{suffix}"] = math.sqrt(max(0.0, 1 - overlap))
+    return found
 
 
 def evenness_bands(

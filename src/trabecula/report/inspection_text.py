@@ -10,6 +10,7 @@ import numpy as np
 
 from trabecula.core.image import Image, default_phases
 from trabecula.report.decidability import Decidable
+from trabecula.report.trend_text import trend_text
 
 if TYPE_CHECKING:
     from trabecula.report.inspection import Inspection
@@ -169,26 +170,13 @@ def _stationarity(found: Inspection) -> str:
     state = found.stationarity
     if state.stationary is None:
         return f"not decided: {state.windows} windows of {_size(state.edge)} voxels are too few"
-    names = [name for name in found.phases if name != "void"]
-    names = names if found.kind == "labels" else ["grey"]
-    rest = "void" if "void" in found.phases else names[0]
-    what = names[0] if len(names) == 1 else f"all but {rest}"
-    trends = [
-        f"{what} {_number(trend.start)} to {_number(trend.end)} {_along(trend.name)} "
-        f"({trend.errors:.1f} standard errors)"
-        for trend in state.trends
-        if trend.found
-    ]
+    trends = [f"{trend_text(trend)}, {trend.errors:.1f} standard errors" for trend in state.surest]
     if trends:
         return f"no: {'; '.join(trends)}"
     return (
         f"no trend along the axes or from centre to rim ({state.windows} windows of "
         f"{_size(state.edge)} voxels)"
     )
-
-
-def _along(name: str) -> str:
-    return f"along {name}" if len(name) == 1 else f"from the {name.replace(' to ', ' to the ')}"
 
 
 def _order(found: Inspection) -> str:
@@ -200,10 +188,6 @@ def _order(found: Inspection) -> str:
         text = "none beyond 5 correlation lengths"
     bodies = f"; {found.bodies} consists of separate bodies of one shape" if found.bodies else ""
     return text + bodies
-
-
-def _number(value: float) -> str:
-    return f"{value:.3f}" if abs(value) < 1 else f"{value:.4g}"
 
 
 def _size(shape: Sequence[int]) -> str:

@@ -11,12 +11,14 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.measure.grey import grey_values, near_one
 from trabecula.measure.labelling import label_components
-from trabecula.numerics.transforms import sums_by_offset
+from trabecula.numerics.transforms import fast_side, sums_by_offset
 
 BOX = {2: 512, 3: 128}
 """Edge of the centre box, voxels, that the covariance of every offset is measured in: about a
 second of work.
 """
+LINES = 2048
+"""Lines along every axis that `lengths_along_axes` looks at."""
 ORDER_FROM, ORDER = 5.0, 0.25
 """A material is called regular where places farther apart than 5 correlation lengths are correlated
 by .25. Disordered materials are not: `sample:foam` reaches .08, scans of bone, rock and electrodes
@@ -97,18 +99,49 @@ def measure_structure(image: Image) -> Structure:
     variance = lines[0][0]
     if variance <= 0:
         return Structure((0.0,) * field.ndim, 0.0, 0.0, None)
-    noise = 0.0
-    if image.kind != "labels":
-        # A covariance that falls linearly near 0, as that of sharp interfaces does, meets 2 c(1) -
-        # c(2) there.
-        shared = np.mean([2 * line[1] - line[2] for line in lines if len(line) > 2] or [variance])
-        noise = float(np.clip(1 - shared / variance, 0.0, 1 - 1e-3))
+    noise = _noise(lines, image.kind)
     scale = variance * (1 - noise)
-    lengths = tuple(_last_below(np.abs(np.r_[1.0, line[1:] / scale])) for line in lines)
+    lengths = _lengths(lines, scale)
     order, period = _order(
         covariance / scale, overlap, reach, [_first_below(line / scale) for line in lines]
     )
     return Structure(lengths, noise, order, period)
+
+
+def lengths_along_axes(image: Image) -> tuple[float, ...]:
+    """Measure the correlation lengths of `measure_structure` alone, on some thousand lines of the
+    centre box: a tenth of the work.
+    """
+    field = _detrend(solid_field(image, BOX[image.ndim]))
+    lines = []
+    for axis, side in enumerate(field.shape):
+        along = np.moveaxis(field, axis, 0)
+        every = max(1, int((along[0].size / LINES) ** (1 / max(1, field.ndim - 1))))
+        some = along[(slice(None), *[slice(every // 2, None, every)] * (field.ndim - 1))]
+        reach = side // 2
+        spectrum = np.fft.rfft(some.reshape(side, -1), fast_side(side + reach), axis=0)
+        power = (spectrum.real**2 + spectrum.imag**2).sum(axis=1, dtype=np.float64)
+        sums = np.fft.irfft(power, fast_side(side + reach))[: reach + 1]
+        lines.append(sums / (side - np.arange(reach + 1)) / some[0].size)
+    if min(line[0] for line in lines) <= 0:
+        return (0.0,) * field.ndim
+    rest = 1 - _noise(lines, image.kind)
+    return tuple(_lengths([line], line[0] * rest)[0] for line in lines)
+
+
+def _noise(lines: list[np.ndarray], kind: str) -> float:
+    """Return the share of the variance that neighbours do not have in common; 0 of labels."""
+    if kind == "labels":
+        return 0.0
+    # A covariance that falls linearly near 0, as that of sharp interfaces does, meets 2 c(1) - c(2)
+    # there.
+    variance = lines[0][0]
+    shared = np.mean([2 * line[1] - line[2] for line in lines if len(line) > 2] or [variance])
+    return float(np.clip(1 - shared / variance, 0.0, 1 - 1e-3))
+
+
+def _lengths(lines: list[np.ndarray], scale: float) -> tuple[float, ...]:
+    return tuple(_last_below(np.abs(np.r_[1.0, line[1:] / scale])) for line in lines)
 
 
 def _detrend(field: np.ndarray) -> np.ndarray:

@@ -120,7 +120,7 @@ def table(certificate: Certificate) -> str:
 
     lines = [
         headline(certificate),
-        *(_fold("", text) for text in sentences(certificate)),
+        *(fold("", text) for text in sentences(certificate)),
         "",
         line(heads),
     ]
@@ -128,14 +128,14 @@ def table(certificate: Certificate) -> str:
     for group, members in rows.items():
         lines.append(f"[{GROUPS[group]}: {VERDICTS[verdicts[group]]}]")
         lines += [line(cells) for cells in members]
-    return "\n".join([*lines, *(_fold("note: ", note) for note in certificate.notes)])
+    return "\n".join([*lines, *(fold("note: ", note) for note in certificate.notes)])
 
 
 def summary(certificate: Certificate) -> str:
     """Return the verdict in words and a line a group, at most 60 lines: the certificate as a
     terminal shows it.
     """
-    lines = [headline(certificate), *(_fold("", text) for text in sentences(certificate)), ""]
+    lines = [headline(certificate), *(fold("", text) for text in sentences(certificate)), ""]
     members: dict[str, list[bool | None]] = {}
     for name, metric in certificate.metrics.items():
         members.setdefault(find_descriptor(name).group, []).append(metric.passed)
@@ -148,5 +148,6 @@ def summary(certificate: Certificate) -> str:
     return "\n".join("\n".join(lines).split("\n")[:60])
 
 
-def _fold(lead: str, text: str) -> str:
+def fold(lead: str, text: str) -> str:
+    """Return a text in lines of a terminal, indented by what leads it."""
     return textwrap.fill(text, 100, initial_indent=lead, subsequent_indent=" " * max(len(lead), 2))

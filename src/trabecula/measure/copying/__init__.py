@@ -10,7 +10,7 @@ voxels, whatever the spacing.
 """
 
 from trabecula.measure.copying.coherence import coherence
-from trabecula.measure.copying.diversity import Diversity, diversity
+from trabecula.measure.copying.diversity import Diversity, differences, diversity
 from trabecula.measure.copying.sources import CoherentPatches, Sources, coherent_patches, sources
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "Sources",
     "coherence",
     "coherent_patches",
+    "differences",
     "diversity",
     "sources",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -59,21 +59,47 @@ def diversity(
     InputError
         Fewer than two images, different shapes, or images too small for `coherence`.
     """
-    if not isinstance(images, Sequence):
-        raise InputError(f"images is {quote(images)}: give two or more in a list")
-    parts = [as_image(image) for image in images]
-    if len(parts) < 2:
-        raise InputError(f"diversity compares two or more images, got {len(parts)}")
-    distance = np.zeros((len(parts), len(parts)))
+    parts = _as_images(images)
+    distance = differences(parts)
     moved = np.full(distance.shape, np.nan)
+    for first, second in permutations(range(len(parts)), 2):
+        share = coherence(
+            parts[first], parts[second], k=(k,), size=size, samples=samples, seed=seed
+        )
+        moved[first, second] = share[k]
+    return Diversity(distance, moved)
+
+
+def differences(images: Sequence[Image | ArrayLike]) -> np.ndarray:
+    """Return `Diversity.distance` alone, which takes a moment.
+
+    Parameters
+    ----------
+    images : sequence of Image or array of labels
+        Two or more, of one shape.
+
+    Returns
+    -------
+    distance : (N, N) float64
+
+    Raises
+    ------
+    InputError
+        Fewer than two images, or different shapes.
+    """
+    parts = _as_images(images)
+    distance = np.zeros((len(parts), len(parts)))
     for a, b in combinations(range(len(parts)), 2):
         distance[a, b] = distance[b, a] = _difference(parts[a], parts[b])
-        for first, second in ((a, b), (b, a)):
-            share = coherence(
-                parts[first], parts[second], k=(k,), size=size, samples=samples, seed=seed
-            )
-            moved[first, second] = share[k]
-    return Diversity(distance, moved)
+    return distance
+
+
+def _as_images(images: Sequence[Image | ArrayLike]) -> list[Image]:
+    if not isinstance(images, Sequence):
+        raise InputError(f"images is {quote(images)}: give two or more in a list")
+    if len(images) < 2:
+        raise InputError(f"diversity compares two or more images, got {len(images)}")
+    return [as_image(image) for image in images]
 
 
 def _difference(first: Image, second: Image) -> float:
