@@ -22,6 +22,8 @@ import bubbles
 import bubbles_figures
 import bubbles_fit
 import certificate_fakes
+import ensemble_rates
+import ensembles
 import evenness
 import gan
 import gan_ablation
@@ -30,10 +32,13 @@ import image
 import image_paper
 import image_speed
 import image_truth
+import intervals
 import noise
+import novelty_blind
 import texture
 import texture_speed
 import trabecula as tb
+import trends
 import view
 from common import tell, timed, unit
 from descriptors import certificate, descriptors, large
@@ -105,11 +110,16 @@ CASES: dict[str, Callable[[], None]] = {
     "big_whole": big_whole.big_whole,
     "view_still": view.view_still,
     "view_page": view.view_page,
+    "intervals": intervals.intervals,
     "measures": measures,
     "large": large,
     "descriptors": descriptors,
     "certificate": certificate,
     "certificate_fakes": certificate_fakes.certificate_fakes,
+    "ensembles": ensembles.ensembles,
+    "trends": trends.trends,
+    "novelty_blind": novelty_blind.novelty_blind,
+    "ensemble_rates": ensemble_rates.ensemble_rates,
 }
 
 

@@ -80,6 +80,7 @@ _MEASURES = {
     "Phases and their contacts": ("each_phase", "phase_lists", "contacts", "triple_lines"),
     "Transport": ("transport",),
     "Stiffness": ("mechanics",),
+    "Confidence": ("confidence", "mean_variance"),
     "Copying": ("copying",),
 }
 
@@ -281,6 +282,7 @@ def measures_page() -> str:
         "`tb.describe` and `trabecula measure FILE` give the common ones at once. What lengths, "
         "phases, masks and axes mean: [conventions](../guide/conventions.md). How to use them: "
         "[transport and stiffness](../howto/transport.md), [copying](../howto/copying.md), "
+        "[confidence intervals](../howto/confidence.md), "
         "[the certificate](../howto/certificate.md).\n\n"
         f"{table(('section', 'measure', 'what it is'), rows)}\n"
     ]

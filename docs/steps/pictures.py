@@ -12,6 +12,7 @@ import numpy as np
 import trabecula as tb
 from steps.paper import draw_paper
 from steps.presets import draw_presets
+from trabecula.report.source_map import source_map
 from trabecula.view.looks import LOOKS
 from trabecula.view.slices import montage
 
@@ -28,6 +29,7 @@ def draw(folder: Path) -> None:
     for name in tb.samples():
         parts.append(draw_sample(name, folder))
     parts.append(draw_shapes(folder))
+    parts.append(draw_sources(folder))
     parts.append(draw_looks(folder))
     parts.append(draw_presets(folder))
     parts.append(draw_paper(folder))
@@ -89,6 +91,26 @@ def draw_shapes(folder: Path) -> str:
     return _SHAPES
 
 
+def draw_sources(folder: Path) -> str:
+    """Draw source maps of a copy off the grid, of independent and of made material; return their
+    section.
+    """
+    bone = tb.sample("bone")
+    exemplar = tb.crop(bone, (64, 96, 96), corner=(0, 0, 0))
+    shown = {
+        "copy": tb.crop(exemplar, (48, 64, 64), corner=(8, 8, 8)),
+        "independent": tb.crop(bone, (32, 64, 64), corner=(64, 16, 16)),
+        "texture": tb.method("texture").fit(exemplar).generate(64, seed=_SEED),
+        "fast": tb.method("texture", preset="fast").fit(exemplar).generate(64, seed=_SEED),
+    }
+    for name, image in shown.items():
+        drawn = source_map(exemplar, image)
+        if drawn is not None:
+            tb.write(drawn.picture, folder / f"sources-{name}.png")
+    pictures = " | ".join(f"![sources: {name}](sources-{name}.png)" for name in shown)
+    return _SOURCES.format(pictures=pictures)
+
+
 def draw_looks(folder: Path) -> str:
     """Draw one crop in every look; return their table."""
     piece = tb.crop(tb.sample("bone"), 64)
@@ -127,6 +149,17 @@ How they are made: [forms, tiles and repairs](../howto/shapes.md).
 
 The exemplar of the repair is the half that has no hole: what comes into it is new, and meets
 what is around it.
+"""
+
+_SOURCES = """## Where material comes from
+
+Middle slices of bone, every voxel in the colour of the shift to the place of the exemplar (64
+planes of `sample:bone`) whose neighbourhood is nearest to its own
+([what it says](../howto/copying.md)).
+
+| a copy | the same bone, farther on | made by `texture` | made by its preset `fast` |
+| --- | --- | --- | --- |
+| {pictures} |
 """
 
 _SAMPLE = """## {name}

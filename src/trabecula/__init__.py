@@ -40,6 +40,7 @@ _NAMES = {
     "describe": "trabecula.measure",
     "method": "trabecula.synth.api.registry",
     "methods": "trabecula.synth.api.registry",
+    "ensemble": "trabecula.pipeline.ensemble",
     "choose_settings": "trabecula.pipeline.trials",
     "load_model": "trabecula.synth.api.serialize",
     "load": "trabecula.pipeline.inputs",
@@ -47,6 +48,7 @@ _NAMES = {
     "rerun": "trabecula.pipeline.replay",
     "render": "trabecula.view.still",
     "verify": "trabecula.report.certificate",
+    "verify_ensemble": "trabecula.report.ensemble",
     "inspect": "trabecula.report.inspection",
     "print_check": "trabecula.finish.printing",
 }

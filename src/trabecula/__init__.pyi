@@ -24,11 +24,13 @@ from trabecula.measure import describe as describe
 from trabecula.mesh.files import read_mesh as read_mesh
 from trabecula.mesh.surface import mesh as mesh
 from trabecula.mesh.voxels import voxelise as voxelise
+from trabecula.pipeline.ensemble import ensemble as ensemble
 from trabecula.pipeline.inputs import load as load
 from trabecula.pipeline.outputs import export as export
 from trabecula.pipeline.replay import rerun as rerun
 from trabecula.pipeline.trials import choose_settings as choose_settings
 from trabecula.report.certificate import verify as verify
+from trabecula.report.ensemble import verify_ensemble as verify_ensemble
 from trabecula.report.inspection import inspect as inspect
 from trabecula.synth.api.registry import method as method
 from trabecula.synth.api.registry import methods as methods
@@ -46,6 +48,7 @@ __all__ = [
     "crop",
     "crop_margins",
     "describe",
+    "ensemble",
     "errors",
     "export",
     "fields",
@@ -71,6 +74,7 @@ __all__ = [
     "segment",
     "threads",
     "verify",
+    "verify_ensemble",
     "view",
     "voxelise",
     "write",

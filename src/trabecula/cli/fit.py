@@ -67,6 +67,7 @@ def run(options: argparse.Namespace) -> int:
         model = chosen.fit(exemplars if len(exemplars) > 1 else exemplars[0], memory=options.memory)
         if recommended:
             terminal.note(recommended)
+        shared.note_trends(exemplars)
         path = model.save(options.out)
     if options.json:
         found = {

@@ -25,6 +25,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="volume to write (.zarr .tif .npy .mhd .nrrd .nii.gz .vti), or s3://BUCKET/NAME.zarr",
     )
+    group = parser.add_argument_group("an ensemble")
+    group.add_argument(
+        "--count",
+        metavar="N",
+        help="make N members, with the seeds from --seed on, into --out with {seed} in its name "
+        "(DIR/{seed}.zarr), several at once; the same command resumes after an interruption",
+    )
+    group.add_argument(
+        "--spread",
+        metavar="S",
+        help="scatter of porosity from member to member: 1 (default) as of real samples of this "
+        "size, learned from the exemplar; 0: all have the exemplar's",
+    )
     group = parser.add_argument_group("resuming a run, and workers")
     group.add_argument(
         "--resume",
@@ -115,6 +128,8 @@ class GenerateTask:
         model = self.method.fit(self.exemplars, memory=memory, **self.voxel)
         if self.recommended:  # now, so that what cannot be learnt from is refused in one line
             terminal.note(self.recommended)
+        if self.exemplars and not self.request.target:
+            shared.note_trends(self.exemplars)
         return model
 
 
@@ -210,7 +225,10 @@ def run(options: argparse.Namespace) -> int:
     """Generate and write; an interrupted run is resumed from its state beside --out."""
     from trabecula.engine.parallel import thread_count, threads
 
+    _check_ensemble(options)
     with threads(options.threads if options.threads is not None else thread_count()):
+        if options.count is not None:
+            return _generate_members(options)
         made = _generate(options) if options.resume is None else _resume(options)
     out = options.out or str(made.path)
     if options.json:
@@ -231,22 +249,10 @@ def _generate(options: argparse.Namespace) -> Any:
     from trabecula.pipeline.outputs import check_target
     from trabecula.pipeline.plan import plan_to
 
-    if options.out is None:
-        raise InputError("the place of the result is not given: add --out FILE")
-    if options.exemplar:
-        raise InputError(
-            "--exemplar is for --resume and rerun: name the exemplar without an option"
-        )
+    _check_out(options)
     check_target(options.out, resumes=True)
     cluster = _cluster(options)
-    job = prepare(options)
-    if options.effort is not None:
-        if job.model is not None:
-            raise InputError(
-                f"--effort beside --model {options.model}: the model has learned with settings of "
-                "its own; give --effort to fit"
-            )
-        job = replace(job, method=tried(job.method, job.exemplars, options))
+    job = _prepare(options)
     model = job.fit(memory=options.memory)
     cut = {"memory": options.memory, "chunks": options.chunks}
     # What workers need is forecast when they are there and tell what they have.
@@ -256,9 +262,84 @@ def _generate(options: argparse.Namespace) -> Any:
         else model.plan(job.request).disk
     )
     check_target(options.out, size=size, resumes=True)
-    return generate_to(
+    made = generate_to(
         model, job.request, options.out, **cut, cluster=cluster, scratch=options.scratch
     )
+    _note_figures(model, job.request, made)
+    return made
+
+
+def _note_figures(model: Any, request: Any, made: Any) -> None:
+    """Say which quick figures of a result are off."""
+    from trabecula.pipeline.quick_check import quick_check
+
+    line = quick_check(model, request, made)
+    if line:
+        terminal.note(line)
+
+
+def _check_out(options: argparse.Namespace) -> None:
+    if options.out is None:
+        raise InputError("the place of the result is not given: add --out FILE")
+    if options.exemplar:
+        raise InputError(
+            "--exemplar is for --resume and rerun: name the exemplar without an option"
+        )
+
+
+def _prepare(options: argparse.Namespace) -> GenerateTask:
+    """Build the task, its settings chosen by trial where an effort is given."""
+    job = prepare(options)
+    if options.effort is None:
+        return job
+    if job.model is not None:
+        raise InputError(
+            f"--effort beside --model {options.model}: the model has learned with settings of its "
+            "own; give --effort to fit"
+        )
+    return replace(job, method=tried(job.method, job.exemplars, options))
+
+
+def _check_ensemble(options: argparse.Namespace) -> None:
+    """Raise where one option of an ensemble lacks the other."""
+    if options.count is None and options.spread is not None:
+        raise InputError("--spread is for an ensemble: add --count N, or leave it out")
+    if options.count is not None and options.resume is not None:
+        raise InputError(
+            "--count beside --resume: the same command without --resume resumes an ensemble"
+        )
+
+
+def _generate_members(options: argparse.Namespace) -> int:
+    """Make the members of an ensemble and its manifest."""
+    from trabecula.pipeline.ensemble import draw_members
+    from trabecula.pipeline.members import check_pattern, generate_members, member_path
+    from trabecula.pipeline.outputs import check_target
+    from trabecula.pipeline.plan import plan_to
+
+    _check_out(options)
+    check_pattern(options.out)
+    count = shared.integer(options.count, name="--count")
+    spread = shared.number(options.spread or "1", name="--spread")
+    cluster = _cluster(options)
+    job = _prepare(options)
+    check_target(member_path(options.out, job.request), resumes=True)
+    model = job.fit(memory=options.memory)
+    members = draw_members(model, job.request, count=count, spread=spread)
+    if members.note:
+        terminal.note(members.note)
+    cut = {"memory": options.memory, "chunks": options.chunks}
+    first = member_path(options.out, job.request)
+    size = plan_to(model, members.requests[0], first, **cut).disk if cluster is None else 0
+    check_target(first, size=size * count, resumes=True)
+    made = generate_members(
+        model, members, options.out, **cut, cluster=cluster, scratch=options.scratch
+    )
+    if options.json:
+        terminal.show_json({"manifest": str(made.manifest), **made.read()})
+    else:
+        print(f"{made.manifest}: {len(made.members)} members of {made.members[0].text}")
+    return 0
 
 
 _MOVED = ("exemplar", "mask", "fixed", "known", "model")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from trabecula.core.errors import InputError
@@ -281,6 +282,17 @@ def load_exemplar(source: str, options: argparse.Namespace) -> Any:
     )
 
 
+def note_trends(images: Sequence[Any], *, what: str = "the exemplar") -> None:
+    """Say in a line of every image that is not stationary what changes in it, and what to do."""
+    from trabecula.cli import terminal
+    from trabecula.report.trend_text import trend_note
+
+    for number, image in enumerate(images, start=1):
+        line = trend_note(image)
+        if line is not None:
+            terminal.note(f"{what}{'' if len(images) == 1 else f' {number}'} is {line}")
+
+
 def crop_of(options: argparse.Namespace) -> list[int] | str | None:
     """Return the size of the box that is kept, or "auto"."""
     if not options.crop:
@@ -338,6 +350,14 @@ def numbers(words: list[str], *, name: str) -> list[float]:
         raise InputError(
             f"{name} {' '.join(words)}: give numbers (a file comes before {name})"
         ) from None
+
+
+def number(word: str, *, name: str) -> float:
+    """Parse a word as a float; its range is checked where it is used."""
+    try:
+        return float(word)
+    except ValueError:
+        raise InputError(f"{name} {word}: give one number") from None
 
 
 def integer(word: str, *, name: str) -> int:

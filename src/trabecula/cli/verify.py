@@ -1,5 +1,5 @@
-"""`trabecula verify EXEMPLAR FILE ... [--pictures FILE ... --views PLANE ...] [--quick | --full]
-[--json] [--report HTML]`.
+"""`trabecula verify EXEMPLAR FILE ... [--pictures FILE ... --views PLANE ... | --ensemble [--parts
+FILE ...]] [--quick | --full] [--json] [--report HTML]`.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+from trabecula.core.errors import InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,6 +47,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="plane of each picture, EXEMPLAR's first: yx (seen across z), zx, zy, xy, xz, yz; or "
         "of one picture all of them",
     )
+    group = parser.add_argument_group("ensembles")
+    group.add_argument(
+        "--ensemble",
+        action="store_true",
+        help="judge all results together: is their distribution that of real parts of their size?",
+    )
+    group.add_argument(
+        "--parts",
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="further scans of the material, whose parts are real as well",
+    )
     shared.add_level(parser)
     shared.add_reading(parser)
 
@@ -59,6 +73,10 @@ def run(options: argparse.Namespace) -> int:
 
     if options.report:
         check_page(options.report)
+    if options.ensemble:
+        return _judge_ensemble(options)
+    if options.parts:
+        raise InputError("--parts are for an ensemble: give --ensemble as well")
     sources = [options.exemplar, *options.pictures]
     exemplars = [shared.load_exemplar(source, options) for source in sources]
     views = [plane for word in options.views for plane in word.split(",")]
@@ -81,6 +99,37 @@ def run(options: argparse.Namespace) -> int:
         terminal.show_json(verdicts if len(verdicts) > 1 else verdicts[0])
     else:
         print("\n\n".join(certificate.to_table() for certificate in certificates))
+    return 0
+
+
+def _judge_ensemble(options: argparse.Namespace) -> int:
+    """Judge all results together."""
+    from trabecula.pipeline.certificate_page import write_ensemble_page
+    from trabecula.pipeline.inputs import load_like
+    from trabecula.report.ensemble import verify_ensemble
+
+    if options.pictures or options.views:
+        raise InputError(
+            "--ensemble compares volumes with parts of volumes: leave out --pictures and --views; "
+            "further scans follow --parts"
+        )
+    sources = [options.exemplar, *options.parts]
+    exemplars = [shared.load_exemplar(source, options) for source in sources]
+    members = [load_like(file, exemplars[0]) for file in options.files]
+    certificate = verify_ensemble(
+        exemplars,
+        members,
+        r_max=options.r_max,
+        names=[Path(file).name for file in options.files],
+        level=options.level,
+        box=options.box,
+    )
+    if options.report:
+        write_ensemble_page(options.report, exemplars, members, certificate)
+    if options.json:
+        terminal.show_json(certificate.to_json())
+    else:
+        print(certificate.to_table())
     return 0
 
 

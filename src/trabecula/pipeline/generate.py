@@ -41,6 +41,7 @@ from trabecula.synth.api.windows import WindowModel, makes_boxes
 if TYPE_CHECKING:
     from trabecula.engine.cluster import Cluster, Workers
 
+_ITS_OWN = ("sha256", "versions", "report")  # of a step: no part of the request
 _SCRATCH = "scratch"  # field of an unfinished store: the folder of its scratch files
 
 
@@ -317,6 +318,23 @@ def resume(
     return generate_to(model, request, target, memory=memory, cluster=cluster, scratch=scratch)
 
 
+def find_result(model: Model, request: Request, path: str | os.PathLike[str]) -> Result | None:
+    """Describe the file of a run that is finished; None where there is none, or that of another
+    run.
+    """
+    target = location_of(path)
+    if not target.is_there() or not _is_finished(target):
+        return None
+    try:
+        result = _read_result(target)
+    except FileError:  # damaged, or not ours: it is made anew
+        return None
+    step = result.recipe.steps[-1]
+    asked = model.recipe(request, "").steps[-1]
+    same = all(step.get(name) == value for name, value in asked.items() if name not in _ITS_OWN)
+    return result if same else None
+
+
 def _is_finished(target: Location) -> bool:
     part = target.growing()
     if isinstance(part, Folder):
@@ -327,6 +345,13 @@ def _is_finished(target: Location) -> bool:
 
 
 def _describe_result(target: Location) -> Result:
+    """Describe what a finished run made, and say so."""
+    result = _read_result(target)
+    notify(f"{target.name} is finished: there is nothing to resume")
+    return result
+
+
+def _read_result(target: Location) -> Result:
     """Describe what a finished run made; the voxels of a store are not read.
 
     Raises
@@ -344,7 +369,6 @@ def _describe_result(target: Location) -> Result:
         recipe = image.recipe
     if not recipe or recipe.steps[-1]["verb"] != "generate":
         raise FileError(f"{target} was not made by generate: there is nothing to resume")
-    notify(f"{target.name} is finished: there is nothing to resume")
     text = outline(shape, **{name: fields[name] for name in ("kind", "spacing", "unit", "phases")})
     return Result(path_or_remote(target), shape, text, recipe)
 

@@ -6,7 +6,7 @@ make every result alike, where the material itself differs from place to place.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -51,10 +51,14 @@ class Trial:
 
     def __str__(self) -> str:
         """Return the trial in a line."""
-        more = len(self.outside) - _NAMED
-        listed = ", ".join(self.outside[:_NAMED]) + (f" and {more} more" if more > 0 else "")
-        off = f"{len(self.outside)} of {self.decided} figures out of band"
-        return f"{self.named}: {off}{': ' if listed else ''}{listed}"
+        return f"{self.named}: {band_line(self.outside, self.decided)}"
+
+
+def band_line(outside: Sequence[str], decided: int) -> str:
+    """Return how many figures are out of band, and the first of them by name."""
+    more = len(outside) - _NAMED
+    listed = ", ".join(outside[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+    return f"{len(outside)} of {decided} figures out of band{': ' if listed else ''}{listed}"
 
 
 def choose_settings(

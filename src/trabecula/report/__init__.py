@@ -2,6 +2,8 @@
 exemplar's own parts, a verdict. And `inspect`, the look at a scan before any work."""
 
 from trabecula.report.certificate import verify
+from trabecula.report.ensemble import verify_ensemble
+from trabecula.report.ensemble_certificate import EnsembleCertificate
 from trabecula.report.inspection import Inspection, inspect
 from trabecula.report.metrics import Metric
 from trabecula.report.page import page, write_page
@@ -10,6 +12,7 @@ from trabecula.report.verdict import Certificate
 
 __all__ = [
     "Certificate",
+    "EnsembleCertificate",
     "Inspection",
     "Metric",
     "Recommendation",
@@ -17,5 +20,6 @@ __all__ = [
     "page",
     "recommend",
     "verify",
+    "verify_ensemble",
     "write_page",
 ]

@@ -46,13 +46,17 @@ _CURVES = {
 }
 
 
-def page(certificates: Sequence[Certificate], *, pictures: Pictures = ()) -> str:
+def page(
+    certificates: Sequence[Certificate], *, pictures: Pictures = (), source_maps: Pictures = ()
+) -> str:
     """Build one self-contained page for one or more certificates of the same exemplar.
 
     Parameters
     ----------
     certificates : sequence of Certificate
     pictures : iterable of (caption, PNG file or its bytes), optional
+    source_maps : iterable of (caption, PNG file or its bytes), optional
+        Slices in the colours of their sources (see `source_map`).
 
     Returns
     -------
@@ -67,14 +71,24 @@ def page(certificates: Sequence[Certificate], *, pictures: Pictures = ()) -> str
     """
     if not certificates:
         raise InputError("a page needs at least one certificate")
-    body = [_front(certificates), _group_table(certificates), _gallery(pictures)]
-    body += [_maps(certificates), _curves(certificates), _figure_table(certificates)]
+    body = [_front(certificates), _group_table(certificates), gallery(pictures)]
+    body += [
+        _maps(certificates),
+        _source_maps(source_maps),
+        _curves(certificates),
+        _figure_table(certificates),
+    ]
     body += [*map(_section, certificates), _reading(certificates)]
     about = certificates[0].about.get("exemplar")
     if about:
-        body.append(_json("Exemplar: fields and recipe", about))
+        body.append(json_details("Exemplar: fields and recipe", about))
+    return document("Certificate", body)
+
+
+def document(title: str, body: Sequence[str]) -> str:
+    """Wrap parts of a page as a document with the style of all certificates."""
     return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Certificate</title>'
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<style>{_style()}</style></head>\n<body>{hatching()}\n"
         + "\n".join(body)
@@ -318,8 +332,8 @@ def _section(certificate: Certificate) -> str:
     return (
         notes
         + _physics(certificate)
-        + _json(f"{certificate.name}: figures as JSON", certificate.to_json())
-        + _json(f"{certificate.name}: fields and recipe", certificate.about.get("image", {}))
+        + json_details(f"{certificate.name}: figures as JSON", certificate.to_json())
+        + json_details(f"{certificate.name}: fields and recipe", certificate.about.get("image", {}))
     )
 
 
@@ -347,13 +361,33 @@ def _physics(certificate: Certificate) -> str:
     )
 
 
-def _gallery(pictures: Pictures) -> str:
+def gallery(pictures: Pictures) -> str:
+    """Show pictures side by side, kept in the page."""
+    figures = _embed(pictures)
+    return f'<h2>Side by side</h2><div class="figures">{figures}</div>' if figures else ""
+
+
+def _source_maps(pictures: Pictures) -> str:
+    """Show from where voxels might have been taken, with how to read it."""
+    figures = _embed(pictures)
+    if not figures:
+        return ""
+    return (
+        '<h2>Where it comes from</h2><p class="soft">Middle slices. The colour of a voxel is the '
+        "shift from it to the place of the exemplar whose neighbourhood is nearest to its own. A "
+        "patch of one colour was moved as a whole; new material is crumbs, as real material is "
+        "that was not copied. Void is paler; white and grey are far from any interface.</p>"
+        f'<div class="figures">{figures}</div>'
+    )
+
+
+def _embed(pictures: Pictures) -> str:
     figures = []
     for caption, source in pictures:
         text = base64.b64encode(_png(source)).decode()
         image = f'<img alt="{escape(caption)}" src="data:image/png;base64,{text}">'
         figures.append(_figure(image, escape(caption)))
-    return f'<h2>Side by side</h2><div class="figures">{"".join(figures)}</div>' if figures else ""
+    return "".join(figures)
 
 
 def _figure(content: str, caption: str) -> str:
@@ -375,7 +409,8 @@ def _png(source: str | Path | bytes) -> bytes:
     return data
 
 
-def _json(summary: str, value: Any) -> str:
+def json_details(summary: str, value: Any) -> str:
+    """Show a value as JSON, folded."""
     text = json.dumps(value, indent=1, ensure_ascii=False)
     return f"<details><summary>{escape(summary)}</summary><pre>{escape(text)}</pre></details>"
 

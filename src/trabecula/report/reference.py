@@ -33,7 +33,13 @@ from trabecula.report.band import (
     value_band,
 )
 from trabecula.report.descriptors import DescriptorSet, Measurements
-from trabecula.report.evenness import WHATS, evenness_bands, evenness_numbers, scaling_exponent
+from trabecula.report.evenness import (
+    WHATS,
+    evenness_bands,
+    evenness_numbers,
+    hellinger_distances,
+    scaling_exponent,
+)
 from trabecula.report.metrics import Metric, find_descriptor, in_order, stem
 
 LAG = 4
@@ -106,8 +112,7 @@ class Reference:
         known = [number for number in self.spread["coherence"] if number is not None]
         if not known:
             return Metric(share)
-        noise = math.sqrt(max(0.02, float(np.mean(known))) / SAMPLES)
-        band = (0.0, min(1.0, draw_limit(known, noise)))
+        band = (0.0, coherence_limit(known))
         return Metric(share, band, None if share is None else share <= band[1])
 
     def judge_measurements(self, measured: Measurements) -> dict[str, Metric]:
@@ -127,7 +132,10 @@ class Reference:
         if not measured.evenness:  # a baseline smaller than the exemplar has none
             return found
         for suffix, own in self.own.evenness.items():
-            found |= self._judge_local(own, measured.evenness[suffix], suffix, WHATS[:1])
+            image = measured.evenness[suffix]
+            found |= self._judge_local(own, image, suffix, WHATS[:1])
+            apart = hellinger_distances(own, image, suffix)
+            found |= {name: Metric(value, None, None, 0.0) for name, value in apart.items()}
         if first in self.own.evenness:
             found |= self._judge_local(
                 self.own.evenness[first], measured.evenness[first], "", WHATS[1:]
@@ -199,6 +207,12 @@ class Reference:
 def _passes(value: float, band: tuple[float, float], rule: str) -> bool:
     enough = rule in (AT_MOST, COUNT, DISTANCE) or value >= band[0]
     return bool(enough and (rule == AT_LEAST or value <= band[1]))
+
+
+def coherence_limit(known: Sequence[float]) -> float:
+    """Return the largest share of voxels that are copies by chance, from those of real parts."""
+    noise = math.sqrt(max(0.02, float(np.mean(known))) / SAMPLES)
+    return min(1.0, draw_limit(known, noise))
 
 
 def independent_coherence(boxes: Sequence[Image]) -> list[float | None]:
