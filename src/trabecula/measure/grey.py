@@ -195,7 +195,11 @@ def autocorrelation(image: Image | ArrayLike, *, lags: int = 32) -> np.ndarray:
 def grey_values(image: Image) -> np.ndarray:
     """Return grey levels as float32: of colour its luminance, of labels of two phases 0 and 1."""
     if image.kind == "colour":
-        return image.values.astype(np.float32) @ _LUMINANCE
+        # one product after another: a product of matrices rounds as each machine's library does
+        red, green, blue = (
+            image.values[..., c].astype(np.float32) * _LUMINANCE[c] for c in range(3)
+        )
+        return red + green + blue
     if image.kind == "labels" and len(image.phases) > 2:
         raise InputError(
             f"the image has {len(image.phases)} phases, and their numbers are no grey levels: "
