@@ -40,6 +40,7 @@ def test_the_trial_with_the_fewest_figures_out_of_band_is_taken(bone, monkeypatc
     assert str(made[1]) == "novelty=0.5: 1 of 5 figures out of band: figure 0"
 
 
+@pytest.mark.whole
 def test_of_equals_the_settings_as_they_are_stay_and_what_was_set_is_not_tried(bone, monkeypatch):
     judge(monkeypatch, [1, 1])
     asked = tb.method("texture", novelty=1.0, sweeps=1)

@@ -33,6 +33,7 @@ def correlation(values, lag):
     return np.mean([(p[lag:] * p[:-lag]).mean() for p in pairs]) / values.var()
 
 
+@pytest.mark.whole
 def test_windows_of_a_larger_volume_vary_and_reach_as_the_material_s():
     exemplar = uneven(0)
     have = tb.fields.windowed(exemplar, size=WINDOW)["volume_fraction"]
@@ -69,6 +70,7 @@ def test_a_field_is_the_same_whatever_the_shape_and_the_threads():
     assert np.corrcoef(other.values.ravel(), large.values.ravel())[0, 1] < 0.5
 
 
+@pytest.mark.whole
 def test_variance_is_the_same_between_the_points_of_the_lattice():
     exemplar = uneven(0, side=48, wave=1.2)
     drawn = [

@@ -110,6 +110,7 @@ def test_other_members_in_their_place_are_made_anew(tmp_path, model):
     assert tb.read(tmp_path / "7.npy").recipe.steps[-1]["sha256"] == drawn.members[0].sha256
 
 
+@pytest.mark.whole
 def test_processes_change_no_voxel(tmp_path, model):
     members = draw_members(model, tb.Request(SIDE, seed=1), count=2)
     with tb.threads(1):

@@ -40,6 +40,7 @@ def test_what_is_off_is_named_and_what_is_not_measured_is_silent(model, tmp_path
         assert quick_check(model, other, made) == ""
 
 
+@pytest.mark.whole
 def test_the_command_says_it_on_standard_error(tmp_path):
     words = ["--method", "texture", "--preset", "fast", "--crop", 64, "--shape", 64]
     output = trabecula("generate", "sample:bone", *words, "--out", tmp_path / "a.tif")

@@ -1,6 +1,7 @@
 """Source maps: copied material is patches of one colour, other material of the same scan crumbs."""
 
 import numpy as np
+import pytest
 
 import trabecula as tb
 from trabecula.measure.evenness import depth_of
@@ -19,6 +20,7 @@ def colours(drawn: SourceMap):
     return np.unique(pixels[~grey], axis=0, return_counts=True)[1]
 
 
+@pytest.mark.whole
 def test_a_copy_has_one_colour_and_another_part_many():
     exemplar = bone(0, 0, 0)
     copied = source_map(exemplar, tb.crop(exemplar, 32))
@@ -48,6 +50,7 @@ def test_what_cannot_be_searched_has_no_map():
     assert source_map(picture, picture).patch > 100
 
 
+@pytest.mark.whole
 def test_the_page_shows_it_beside_real_material(tmp_path):
     exemplar, image = bone(0, 0, 0), bone(48, 48, 48)
     for level, shown in (("default", True), ("quick", False)):

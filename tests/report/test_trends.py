@@ -131,6 +131,7 @@ def test_lengths_from_lines_are_those_of_the_covariance():
     assert lengths_along_axes(grey) == pytest.approx(measure_structure(grey).lengths, rel=0.05)
 
 
+@pytest.mark.whole
 def test_commands_warn_in_one_line(tmp_path, capsys):
     tb.write(graded_in_size(), tmp_path / "graded.tif")
     tb.write(turning(0), tmp_path / "even.tif")

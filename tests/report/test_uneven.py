@@ -177,6 +177,7 @@ def test_another_sample_of_a_material_that_is_no_noise_passes():
     assert 'class="verdict pass"' in html and "Not examined: transport and stiffness" in html
 
 
+@pytest.mark.whole
 def test_the_hellinger_distance_is_reported_and_literal():
     """It is that of histograms in the exemplar's tenths, 0 to itself, and gives no verdict."""
     exemplar, other = (tb.Image(gaussian(seed), "labels") for seed in (1, 2))

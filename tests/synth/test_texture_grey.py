@@ -87,6 +87,7 @@ def test_the_spectrum_is_the_scans(grey, made):
     assert np.all((ratio[2:] > 0.7) & (ratio[2:] < 1.4)), ratio
 
 
+@pytest.mark.whole
 def test_the_iso_surface_is_as_good_as_labels(bone, grey, model, made):
     """That of the structure it was painted on, and thus as near to the exemplar's as labels are."""
     labels = tb.method("texture").fit(iso(grey.values)).generate(64, seed=1)
@@ -101,6 +102,7 @@ def test_the_iso_surface_is_as_good_as_labels(bone, grey, model, made):
     assert np.mean((smooth > level) == structure) > 0.95
 
 
+@pytest.mark.whole
 def test_no_grain_is_copied(grey, made):
     """Grain of the result is found nowhere in the scan: neighbourhoods of 4^3 voxels in the dark
     phase differ from all of the scan's more than copies would.
@@ -117,6 +119,7 @@ def test_no_grain_is_copied(grey, made):
     assert np.mean(distances < 4) < 0.01, "the grain has a variance of 64"
 
 
+@pytest.mark.whole
 def test_threads_files_and_interruptions_change_nothing(model, tmp_path, monkeypatch):
     monkeypatch.setattr(memmap, "SMALLEST", 64)
     monkeypatch.setattr(grey_levels, "_TILE", 16)
@@ -138,6 +141,7 @@ def test_threads_files_and_interruptions_change_nothing(model, tmp_path, monkeyp
     assert np.array_equal(resumed, at_once), "neither the cut into tiles nor a stop shows"
 
 
+@pytest.mark.whole
 def test_a_periodic_axis_joins_without_a_seam(model):
     values = model.generate((32, 32, 40), seed=2, periodic=(False, False, True)).values.astype(
         float
@@ -146,6 +150,7 @@ def test_a_periodic_axis_joins_without_a_seam(model):
     assert steps[-1] < 1.25 * steps[:-1].mean()
 
 
+@pytest.mark.whole
 def test_a_form_is_filled(model):
     z, y, x = np.indices(SHAPE)
     form = (z - 20) ** 2 + (y - 18) ** 2 + (x - 22) ** 2 < 16**2
@@ -164,6 +169,7 @@ def test_beside_fixed_voxels_patches_are_taken(model, grey):
     assert made.recipe.to_json()[-1]["report"]["way"] == "patches of the exemplar"
 
 
+@pytest.mark.whole
 def test_noise_alone_tells_no_structure():
     noise = ndimage.gaussian_filter(np.random.default_rng(1).standard_normal((32, 32, 32)), 1.5)
     image = tb.Image((128 + 400 * noise).clip(0, 255).astype(np.uint8), "grey")
@@ -182,6 +188,7 @@ def test_novelty_0_is_the_former_way(grey):
     assert "report" not in model.generate(24).recipe.to_json()[-1]
 
 
+@pytest.mark.whole
 def test_colours_agree_on_their_channels(colour):
     made = tb.method("texture").fit(colour).generate(SHAPE, seed=1).values.astype(int)
     assert made.shape == (*SHAPE, 3)
@@ -212,6 +219,7 @@ def test_a_voxel_that_is_not_a_cube_is_smoothed_by_its_edges(bone):
     assert tb.method("texture").fit(image).painted is not None
 
 
+@pytest.mark.whole
 def test_the_forecasts_hold(model, grey, colour):
     request = tb.Request((48, 48, 48), seed=1)
     plan = model.plan(request)

@@ -544,6 +544,7 @@ def test_half_of_a_width_is_rounded_down():
     assert [TextureConfig(step=0).step_of(width) for width in (4, 7, 8, 9)] == [2, 3, 4, 4]
 
 
+@pytest.mark.whole
 def test_the_iso_value_of_a_fraction_holds_it_to_the_voxel():
     exemplar = tb.crop(tb.sample("bone"), 20)
     settings = {"preset": "paper", "levels": 1, "neighbourhood": (6, 4)}
@@ -555,6 +556,7 @@ def test_the_iso_value_of_a_fraction_holds_it_to_the_voxel():
     assert share["middle"] != pytest.approx(share["fraction"], abs=1e-3)
 
 
+@pytest.mark.whole
 def test_the_preset_keeps_thin_struts_at_their_own_iso_value():
     """With steps of half the width and 95 % of the variance a quarter of the bone is lost."""
     exemplar = tb.crop(tb.sample("bone"), 32)

@@ -150,6 +150,7 @@ def test_a_foams_own_settings_are_nearly_found(own):
     assert tb.measure.pore_size(made) == pytest.approx(tb.measure.pore_size(known), rel=0.2)
 
 
+@pytest.mark.whole
 def test_the_recipe_keeps_the_users_settings_and_tells_what_was_found(own):
     _, model = own
     step = model.generate(16, seed=1).recipe.steps[-1]
