@@ -9,23 +9,26 @@ from common import table
 from descriptors import scans
 from trabecula.report import EnsembleCertificate
 
-SIDE, COUNT, LEARNED = 64, 24, 128
-"""Voxels of a member; members; voxels of the crop, from the middle of a scan, that is learned."""
+SIDE, COUNT = 64, 24
+"""Voxels of a member, half of the scan's shortest side where that is less; members."""
 
 MATERIALS = ("bone a", "Berea", "NMC", "cement, Otsu", "soil, Otsu")
+SAMPLE = "foam"
+UNSPREAD = ("bone a",)
+"""Materials whose members are made with the scan's own porosity as well."""
 
 
 def ensembles() -> None:
-    """24 members of 64^3 by `texture` from a crop of each scan, with the spread that is drawn from
-    it and without, against all of the scan: ratio of standard deviations / shift of the mean in
-    real standard deviations, and the verdict.
+    """24 members of 64^3 by `texture` from each scan, with the porosity that is drawn for each,
+    against the parts of that scan: ratio of standard deviations / shift of the mean in real
+    standard deviations, and the verdict.
     """
-    known = scans()
-    for name in MATERIALS if MATERIALS[0] in known else known:
+    known = scans() | {SAMPLE: tb.sample(SAMPLE)}
+    for name in [*MATERIALS, SAMPLE] if MATERIALS[0] in known else known:
         scan = known[name]
-        model = tb.method("texture").fit(tb.crop(scan, [min(LEARNED, n) for n in scan.shape]))
+        model = tb.method("texture").fit(scan)
         side = min(SIDE, min(scan.shape) // 2)
-        for spread in (1, 0):
+        for spread in (1, 0) if name in UNSPREAD else (1,):
             members = list(tb.ensemble(model, side, count=COUNT, seed=1, spread=spread))
             show(f"{name}, {side}^3, spread {spread}", tb.verify_ensemble(scan, members))
 
