@@ -25,10 +25,13 @@ from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.fraction_control import FractionShifts
 from trabecula.synth.mrf.lattice import (
     ALL,
+    ClassName,
+    SiteClasses,
     SiteLattice,
     marks_or_all,
 )
 from trabecula.synth.mrf.picture_levels import PictureLevels
+from trabecula.synth.mrf.random_order import RandomTurns, draw_turns
 from trabecula.synth.mrf.site_update import (
     COLDEST,
     ClassScores,
@@ -68,6 +71,9 @@ def relaxation_stages(
     if config.relaxation == "icm":
         held = {"temperature": Array(shape, np.float32), "held": Array(shape, bool)}
     classes = class_stages(shape, view_sets, content, config, masked=masked)
+    if config.order == "random":
+        held["turn"] = Array(shape, np.uint16)
+        classes = (Stage("order", {"priority": Array(shape, np.uint32)}), *classes)
     if pairs is None:
         return within(held, classes)
     coupled = coupling_stages(pairs, content.features.shape[1])
@@ -131,6 +137,7 @@ class Relaxation:
             )
             for slice_views in self.view_sets
         ]
+        self._turn = self.work.zeros("turn") if config.order == "random" else None
         self._union = union_offsets(
             [slice_view.plane for slice_view in self.view_sets[0]], config.neighbourhood
         )
@@ -186,23 +193,42 @@ class Relaxation:
         sites.
         """
         view_set = self._view_sets[step.view_set]
-        names = view_set.classes.names
-        order = generator(self.seed, f"mrf/{self.scale}/order", step.number).permutation(len(names))
-        tally = SweepTally(0, self.bias_feedback.empty_tables())
-        part = -(-len(order) // _PARTS)
         held = self.held if self.config.resynthesis else ALL
-        for number, place in enumerate(order):
+        classes, names = self._order(view_set, held, step.number)
+        tally = SweepTally(0, self.bias_feedback.empty_tables())
+        part = -(-len(names) // _PARTS)
+        for number, name in enumerate(names):
             if self.couplings is not None and number and number % part == 0:
                 self.couplings.update_field(self.lattice.levels, self.lattice.domain)
-            site_class = SiteClass(
-                view_set.classes, names[place], self.temperature, held, self.work
-            )
+            site_class = SiteClass(classes, name, self.temperature, held, self.work)
             if site_class.count:
                 tally += self._update_class(site_class, view_set, step)
             self.work.enter("find sites")
         if self._feedback:
             self.bias_feedback.learn(tally.tables)
         return tally.changed
+
+    def _order(
+        self, view_set: ViewSet, held: np.ndarray, sweep: int
+    ) -> tuple[SiteClasses | RandomTurns, list[ClassName]]:
+        """Return the classes of sites that a sweep updates at once, and their order."""
+        if self._turn is None:
+            names = view_set.classes.names
+            drawn = generator(self.seed, f"mrf/{self.scale}/order", sweep).permutation(len(names))
+            return view_set.classes, [names[place] for place in drawn]
+        self.work.enter("order")
+        turns = draw_turns(
+            self.lattice,
+            view_set.conflicts,
+            self.temperature,
+            held,
+            key=key(self.seed, f"mrf/{self.scale}/turns"),
+            sweep=sweep,
+            turn=self._turn,
+            priority=self.work.empty("priority"),
+        )
+        self.work.enter("find sites")
+        return turns, turns.names
 
     def _update_class(
         self, site_class: SiteClass, view_set: ViewSet, step: SweepStep
