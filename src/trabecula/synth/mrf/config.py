@@ -126,6 +126,11 @@ class MrfConfig:
     xi: float = -3.0
     """Rate at which temperatures fall, -1000 .. 0, exclusive (equation 8). (icm)"""
 
+    start: tuple[float, ...] = (1.0,)
+    """Temperature of the voxels at the start of each scale, .01 .. 1, but of those that a coarser
+    scale knew. At 1, as in the paper, nothing of the start is seen: voxels visited early take the
+    commonest level. (icm)"""
+
     stop: float = 0.95
     """The fall of the global temperature, as a share, that ends a scale, .5 .. 1. (icm)"""
 
@@ -140,6 +145,7 @@ class MrfConfig:
         self._check_schedule("sweeps", 1, 1000, whole=True)
         self._check_schedule("heat", 0, 10, whole=False)
         self._check_schedule("final_heat", 0, 10, whole=False)
+        self._check_schedule("start", 0.01, 1, whole=False)
         if self.order is None:  # kept as found: a recipe names it
             object.__setattr__(self, "order", "random" if self.relaxation == "icm" else "classes")
         for name, allowed in _CHOICES.items():
@@ -186,7 +192,7 @@ class MrfConfig:
     @classmethod
     def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Complete the settings of a recipe or a model that is older than some of them."""
-        return {"order": "classes", **settings}
+        return {"order": "classes", "start": (1.0,), **settings}
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:

@@ -89,7 +89,7 @@ def draw_turns(
 @kernel
 def draw_priorities(first, last, free, temperature, held, key, sweep, priority, turn):
     """Draw the priorities of the planes first .. last, and mark the sites that wait for a turn."""
-    Z, Y, X = turn.shape
+    _, Y, X = turn.shape
     marks, warm, kept = free.ravel(), temperature.ravel(), held.ravel()
     for z in range(first, last):
         for y in range(Y):
@@ -127,7 +127,7 @@ def take_turns(first, last, offsets, priority, number, turn):
                     if word < own or (word == own and (a * Y + b) * X + c >= site):
                         continue
                     state = turn[a, b, c]
-                    if state == _WAITING or state == number:
+                    if state in (_WAITING, number):
                         ready = False
                         break
                 if ready:

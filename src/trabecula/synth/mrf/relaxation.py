@@ -51,6 +51,8 @@ from trabecula.synth.shared.statistics.pairs import Pairs
 
 T = TypeVar("T")
 
+_ENOUGH = 64  # sites of a turn whose shares say what shifts are needed
+
 # With one update a sweep, voxels at large distances flip together at every sweep.
 _PARTS = 4  # of a sweep; before each the field of the couplings is updated
 
@@ -149,7 +151,9 @@ class Relaxation:
         self.bias_feedback = BiasFeedback(
             [joints[n] for n in sorted(joints)], len(self.view_sets[0]), rate=self._feedback
         )
-        self.shifts = FractionShifts(self.content.groups, self.wanted)
+        # a turn has few sites
+        enough = 1 if config.order == "classes" else _ENOUGH
+        self.shifts = FractionShifts(self.content.groups, self.wanted, enough)
 
     def run(
         self, before: Sequence[dict[str, Any]] = (), state: Checkpoint | None = None
@@ -321,6 +325,11 @@ class Relaxation:
             ),
         ]
 
+    @property
+    def start(self) -> float:
+        """Return the temperature at which free voxels begin."""
+        return float(np.float32(_at_scale(self.config.start, self.scale)))
+
     def _temperature_fall(self) -> float:
         """Return the share by which the global temperature has fallen since the scale began
         (section V.B).
@@ -338,8 +347,8 @@ class Relaxation:
                 )
             )
 
-        start = sum_slabs(work, len(temperature))
-        return 1 - math.fsum(sums) / max(start, 1)
+        warm = sum_slabs(work, len(temperature))
+        return 1 - math.fsum(sums) / (self.start * max(warm, 1))
 
     def _state(self) -> dict[str, np.ndarray]:
         """Return the arrays of a checkpoint."""
@@ -422,7 +431,11 @@ def start_relaxation(
     )
     if config.relaxation == "icm":
         _set_temperatures(
-            lattice, relaxation.temperature, relaxation.held, inherits=coarse is not None
+            lattice,
+            relaxation.temperature,
+            relaxation.held,
+            inherits=coarse is not None,
+            start=relaxation.start,
         )
     return relaxation
 
@@ -484,10 +497,15 @@ def _set_free(lattice: SiteLattice, part: Any, found: np.ndarray) -> None:
 
 
 def _set_temperatures(
-    lattice: SiteLattice, temperature: np.ndarray, held: np.ndarray, *, inherits: bool
+    lattice: SiteLattice,
+    temperature: np.ndarray,
+    held: np.ndarray,
+    *,
+    inherits: bool,
+    start: float,
 ) -> None:
-    """Set the temperatures at the start, 1 or 0, and mark the voxels that `inherits` gave a 0: the
-    first of every eight.
+    """Set the temperatures at the `start`, and mark the voxels that `inherits` gave a 0: the first
+    of every eight.
     """
 
     def work(first: int, last: int) -> None:
@@ -495,7 +513,7 @@ def _set_temperatures(
             free = np.ones(lattice.shape[1:], bool) if lattice.free is None else lattice.free[z]
             if inherits and z % 2 == 0:
                 held[z, ::2, ::2] = free[::2, ::2]
-            temperature[z] = free & ~held[z]
+            temperature[z] = np.float32(start) * (free & ~held[z])
 
     for_slabs(work, lattice.shape[0])
 

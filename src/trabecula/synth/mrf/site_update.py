@@ -109,7 +109,7 @@ def _most_in_plane(height: int, width: int, block: int, order: str) -> int:
     down, across = max(1, height // block), max(1, width // block)
     if order == "classes":
         return down * across
-    return min(max(1, height) * across, max(1, width) * down) // block  # in any arrangement
+    return max(1, min(height * across, width * down) // block)  # in any arrangement
 
 
 @dataclass
