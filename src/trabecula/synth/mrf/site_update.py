@@ -65,7 +65,7 @@ def class_stages(
     width, views = config.neighbourhood, len(view_sets[0])
     (levels, channels), groups = content.features.shape, int(content.groups.max()) + 1
     depth, *across = shape
-    sites = (depth, _most_in_plane(*across, width // 2 + 1, config.order))
+    sites = (depth, _most_in_plane(across, width // 2 + 1, config.order))
     planes = -(-_FEW // sites[1])  # of a thread's cheap work
 
     def rows(dtype: Any, *more: int) -> Array:
@@ -102,13 +102,14 @@ def class_stages(
     return tuple(stages)
 
 
-def _most_in_plane(height: int, width: int, block: int, order: str) -> int:
-    """Return how many sites of a plane may be updated at once: in every square of `block` pixels
-    there is one at most.
+def _most_in_plane(shape: Sequence[int], block: int, order: str | None) -> int:
+    """Return how many sites of a plane (Y, X) may be updated at once: in every square of `block`
+    voxels there is one at most.
     """
-    down, across = max(1, height // block), max(1, width // block)
+    down, across = (max(1, side // block) for side in shape)
     if order == "classes":
         return down * across
+    height, width = shape
     return max(1, min(height * across, width * down) // block)  # in any arrangement
 
 
