@@ -39,8 +39,9 @@ def image_paper() -> None:
     then annealing and Gibbs with H2b.
 
     `by classes` updates the sites in a regular order, `as written` takes h_opt and temperature 1
-    besides, and `shares` holds the levels' shares. The last row is the method's default. Measures as in case `image_likeness`; `period` is
-    the share of voxels that equal the one 4 on along all three axes.
+    besides, and `shares` holds the levels' shares. The last row is the method's default. Measures
+    as in case `image_likeness`; `period` is the share of voxels that equal the one 4 on along all
+    three axes.
     """
     if "mrf" not in methods():
         print("(no method 'mrf' yet: left out)")
