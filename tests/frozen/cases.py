@@ -351,6 +351,14 @@ for _relaxation, _heuristic in (("icm", "h1a"), ("annealing", "h2b"), ("gibbs", 
         return tb.method("mrf", **settings).fit(exemplar_of("mrf")).generate(SHAPE, seed=6)
 
 
+@case("mrf-icm-by-classes")
+def _mrf_by_classes() -> tb.Image:
+    """Make what icm made before it visited sites in a random order."""
+    settings = {"sweeps": (3,), "candidates": 256, "scales": 2, "relaxation": "icm", "xi": -12.0}
+    learned = tb.method("mrf", **settings, order="classes").fit(picture(grey(28)))
+    return learned.generate(SHAPE, seed=6)
+
+
 @case("quilt-graded")
 def _quilt_graded() -> tb.Image:
     return model("quilt").generate(SHAPE, seed=6, target={"volume_fraction": ramp(0.1, 0.3)})

@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 from mrf_lattice import empty_lattice
 
 import trabecula as tb
-from trabecula.core.seeds import generator
+from trabecula.core.seeds import generator, key
 from trabecula.engine import checkpoint
+from trabecula.engine.random import philox
 from trabecula.errors import InputError, RequestError
+from trabecula.synth.api.registry import recorded_method
 from trabecula.synth.mrf.candidates import extract_neighbourhoods, reweight_by_porosity
 from trabecula.synth.mrf.density import STEPS
 from trabecula.synth.mrf.lattice import (
@@ -23,6 +25,7 @@ from trabecula.synth.mrf.lattice import (
     half_shape,
 )
 from trabecula.synth.mrf.picture_levels import median_cut_palette, number_levels
+from trabecula.synth.mrf.random_order import draw_turns
 from trabecula.synth.mrf.relaxation import Relaxation, start_relaxation
 from trabecula.synth.mrf.slice_planes import SliceView, plane_across, union_offsets
 from trabecula.synth.mrf.statistics_feedback import JointHistogram, bias_change, joint_histogram
@@ -226,11 +229,28 @@ def test_gibbs_draws_from_the_exact_conditional():
     )
 
 
+def literal_order(order, lattice, width, sweep):
+    """Return the sites of a sweep of scale 0, one after the other."""
+    if order == "random":
+        word = key(1, "mrf/0/turns")
+        priority = [
+            int(philox(word, site, site >> 32, sweep, 0)[0]) for site in range(lattice.levels.size)
+        ]
+        found = sorted(range(len(priority)), key=lambda site: (-priority[site], site))
+        return [site for site in found if lattice.free.flat[site]]
+    classes = SiteClasses(lattice, width)
+    names = generator(1, "mrf/0/order", sweep).permutation(len(classes.names))
+    return [
+        site for place in names for site in classes.sites(classes.names[place], 0, lattice.shape[0])
+    ]
+
+
 @pytest.mark.whole
+@pytest.mark.parametrize("order", ["random", "classes"])
 @pytest.mark.parametrize("kind", ["labels", "grey"])
-def test_icm_is_the_literal_loop(kind):
-    """Check figure 1, left: arg max with (1 - t)^2, then equation 8; two sweeps of a small lattice,
-    site by site.
+def test_icm_is_the_literal_loop(kind, order):
+    """Check figure 1, left: arg max with (1 - t)^2, then equation 8; sweeps of a small lattice, one
+    site after the other, each seeing what the one before has become.
     """
     rng = np.random.default_rng(5)
     values = (
@@ -239,49 +259,142 @@ def test_icm_is_the_literal_loop(kind):
         else rng.integers(0, 6, (14, 14)).astype(np.uint8) * 40
     )
     shape = (6, 5, 7)
-    settings = {"preset": "paper", "neighbourhood": 3, "scales": 1, "stop": 1.0}
+    settings = {
+        **{"preset": "paper", "neighbourhood": 3, "scales": 1, "stop": 1.0},
+        **{"xi": -3.0, "start": 1.0 if kind == "labels" else 0.8, "bandwidth": 1.0, "order": order},
+    }
     model, relaxation = relaxation_of(tb.Image(values, kind), shape, settings)
     relaxation.lattice.domain = np.ones(shape, bool)
     relaxation.lattice.domain[2, 1, 3] = relaxation.lattice.domain[4, 4, 0] = False
     relaxation.lattice.free = relaxation.lattice.domain.copy()
     levels, domain = relaxation.lattice.levels.copy(), relaxation.lattice.domain
-    classes = SiteClasses(relaxation.lattice, 3)
-    temperature = np.ones(shape, np.float32)
+    temperature = np.full(shape, relaxation.start, np.float32)
     moves = []
     for step in relaxation._steps()[:6]:
         changed = relaxation.sweep(step)
         before = levels.copy()
-        for place in generator(1, "mrf/0/order", step.number).permutation(len(classes.names)):
-            sites = [
-                np.unravel_index(site, shape)
-                for site in classes.sites(classes.names[place], 0, shape[0])
-            ]
-            sites = [site for site in sites if temperature[site] > 0]
-            for site in sites:
-                weights = (
-                    domain * np.floor(STEPS * (1 - temperature.astype(float)) ** 2 + 0.5) / STEPS
-                )
-                product = literal_density(model, levels, site, weights).prod(0)
-                best = np.sort(product)[::-1]
-                if best[0] > 1.01 * best[1]:
-                    levels[site] = product.argmax()
-                else:  # too close for the tables: follow
-                    levels[site] = relaxation.lattice.levels[site]
-            cooled = {}
-            for site in sites:
-                near = [
-                    place for place in neighbours_of(site, (0, 1, 2), 3, shape) if domain[place]
-                ]
-                cooled[site] = max(
-                    0.0, (-3 + sum(float(temperature[place]) for place in near)) / len(near)
-                )
-            for site, value in cooled.items():
-                temperature[site] = value
+        for place in literal_order(order, relaxation.lattice, 3, step.number):
+            site = np.unravel_index(place, shape)
+            if temperature[site] <= 0:
+                continue
+            weights = domain * np.floor(STEPS * (1 - temperature.astype(float)) ** 2 + 0.5) / STEPS
+            product = literal_density(model, levels, site, weights).prod(0)
+            best = np.sort(product)[::-1]
+            if best[0] > 1.01 * best[1]:
+                levels[site] = product.argmax()
+            else:  # too close for the tables: follow
+                levels[site] = relaxation.lattice.levels[site]
+            near = [place for place in neighbours_of(site, (0, 1, 2), 3, shape) if domain[place]]
+            temperature[site] = max(
+                0.0, (-3 + sum(float(temperature[place]) for place in near)) / len(near)
+            )
         assert np.array_equal(levels, relaxation.lattice.levels)
         assert np.allclose(temperature[domain], relaxation.temperature[domain], atol=1e-6)
         assert changed == np.count_nonzero(before != levels)
         moves.append(changed)
     assert moves[0] > 0 < sum(moves[1:]), "the later sweeps say nothing"
+
+
+def drawn_turns(lattice, width, sweep=0, temperature=None, held=None):
+    """Return the turns of a sweep of a lattice, and their number by site (0: not visited)."""
+    offsets = union_offsets([plane_across(axis) for axis in range(3)], width)
+    turns = draw_turns(
+        lattice,
+        offsets,
+        np.zeros((0, 0, 0), np.float32) if temperature is None else temperature,
+        np.zeros((0, 0, 0), bool) if held is None else held,
+        key=key(7, "turns"),
+        sweep=sweep,
+        turn=np.empty(lattice.shape, np.uint16),
+        priority=np.empty(lattice.shape, np.uint32),
+    )
+    number = np.zeros(lattice.levels.size, int)
+    for name in turns.names:
+        sites = turns.sites(name, 0, lattice.shape[0])
+        assert len(sites) and not number[sites].any()
+        number[sites] = name[0]
+    return turns, number.reshape(lattice.shape)
+
+
+@pytest.mark.whole
+@settings(max_examples=10)
+@given(shape=st.tuples(*[st.integers(5, 9)] * 3), width=st.sampled_from([3, 5]))
+def test_turns_are_the_random_order(shape, width):
+    """A site's turn is the one after the last of its neighbours of higher priority: so no two sites
+    of a turn are neighbours, and turn by turn is site by site.
+    """
+    rng = np.random.default_rng(3)
+    lattice = SiteLattice(np.zeros(shape, np.uint8), free=rng.random(shape) < 0.8)
+    _, found = drawn_turns(lattice, width)
+    word, literal = key(7, "turns"), np.zeros(shape, int)
+    for site in sorted(
+        np.flatnonzero(lattice.free), key=lambda s: (-int(philox(word, s, s >> 32, 0, 0)[0]), s)
+    ):
+        place = tuple(int(c) for c in np.unravel_index(site, shape))
+        near = neighbours_of(place, (0, 1, 2), width, shape) - {place}
+        literal[place] = 1 + max(literal[one] for one in near)
+    assert np.array_equal(found, literal)
+
+
+def test_turns_depend_on_the_sweep_and_not_on_threads():
+    lattice = SiteLattice(np.zeros((24, 9, 10), np.uint8))
+    _, one = drawn_turns(lattice, 7)
+    with tb.threads(3):
+        assert np.array_equal(drawn_turns(lattice, 7)[1], one)
+    assert not np.array_equal(drawn_turns(lattice, 7, sweep=1)[1], one)
+    assert one.min() == 1
+    turns = drawn_turns(lattice, 7)[0]
+    parts = [turns.sites((3,), first, first + 4) for first in range(0, 24, 4)]
+    assert np.array_equal(np.concatenate(parts), turns.sites((3,), 0, 24))
+
+
+def test_cold_sites_have_no_turn_unless_they_are_held():
+    rng = np.random.default_rng(4)
+    lattice = SiteLattice(np.zeros((9, 10, 11), np.uint8))
+    temperature = np.float32(rng.random(lattice.shape) < 0.5)
+    held = rng.random(lattice.shape) < 0.1
+    assert np.array_equal(drawn_turns(lattice, 5, 0, temperature)[1] > 0, temperature > 0)
+    asked = drawn_turns(lattice, 5, 0, temperature, held)[1] > 0
+    assert np.array_equal(asked, (temperature > 0) | held)
+
+
+@pytest.mark.whole
+def test_in_a_random_order_nothing_repeats_with_the_lattice_of_classes():
+    """By classes and from temperature 1, where nothing of the start is seen, all sites of a class
+    stay alike: the result repeats every 4 voxels.
+    """
+    smooth = np.fft.ifft2(
+        np.fft.fft2(np.random.default_rng(9).normal(size=(24, 24))) * _band(24, 8)
+    )
+    values = np.clip(128 + 70 * smooth.real / smooth.real.std(), 0, 255).astype(np.uint8)
+    settings = {"scales": 1, "start": 1.0, "xi": -60.0, "bandwidth": 0.1}
+    found = {}
+    for order in ("classes", "random"):
+        made = tb.method("mrf", preset="paper", order=order, **settings)
+        made = made.fit(tb.Image(values, "grey")).generate(12, seed=1, periodic=True).values
+        assert made.std() > 0
+        found[order] = np.mean(made == np.roll(made, (4, 4, 4), (0, 1, 2)))
+    assert found["classes"] == 1
+    assert found["random"] < 0.4
+
+
+def test_recipes_of_before_keep_their_order():
+    before = recorded_method("mrf", {"relaxation": "icm"}).config
+    assert (before.order, before.start) == ("classes", (1.0,))
+    assert tb.method("mrf", relaxation="icm").config.order == "random"
+    assert tb.method("mrf").config.order == "classes"
+    assert recorded_method("mrf", {"relaxation": "icm", "order": "random"}).config.order == "random"
+
+
+@pytest.mark.whole
+def test_the_papers_preset_keeps_both_phases(picture):
+    """With h_opt and temperature 1 at the start, as written, one phase is left."""
+    shares = []
+    for changed in ({}, {"bandwidth": 1.0, "start": 1.0, "xi": -3.0, "every": False}):
+        model = tb.method("mrf", preset="paper", scales=2, **changed).fit(picture)
+        shares.append(model.generate(8, seed=1, periodic=False).values.mean())
+    assert abs(shares[0] - picture.values.mean()) < 0.2
+    assert min(shares[1], 1 - shares[1]) < 0.05
 
 
 @pytest.mark.whole
@@ -541,6 +654,8 @@ def test_an_interrupted_run_goes_on_bit_for_bit(relaxation, picture, tmp_path, m
         ({"sweeps": ()}, "empty"),
         ({"xi": 0.5}, "xi"),
         ({"every": 1}, "true or false"),
+        ({"order": "rows"}, "order"),
+        ({"start": 0.0}, "start"),
         ({"views": ("yx",)}, "two or three planes"),
     ],
 )

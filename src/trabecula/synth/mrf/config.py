@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,6 +34,11 @@ class MrfConfig:
     """"gibbs": a draw from the conditional density; "icm": its mode, with the pixels' temperatures
     (equations 8, 9); "annealing": a level at random, accepted by the ratio of densities (figure 1).
     """
+
+    order: str | None = None
+    """Order of the sites in a sweep: "random", as in the paper; "classes": sites of a regular
+    lattice at once, lattice after lattice. Default: random for icm, which never gets rid of that
+    lattice; classes otherwise."""
 
     heuristic: str = "h2b"
     """Rule that combines the views' densities: "h2b" the product, "h2a" the least; "h1a" and "h1b"
@@ -120,6 +126,11 @@ class MrfConfig:
     xi: float = -3.0
     """Rate at which temperatures fall, -1000 .. 0, exclusive (equation 8). (icm)"""
 
+    start: tuple[float, ...] = (1.0,)
+    """Temperature of the voxels at the start of each scale, .01 .. 1, but of those that a coarser
+    scale knew. At 1, as in the paper, nothing of the start is seen: voxels visited early take the
+    commonest level. (icm)"""
+
     stop: float = 0.95
     """The fall of the global temperature, as a share, that ends a scale, .5 .. 1. (icm)"""
 
@@ -134,6 +145,9 @@ class MrfConfig:
         self._check_schedule("sweeps", 1, 1000, whole=True)
         self._check_schedule("heat", 0, 10, whole=False)
         self._check_schedule("final_heat", 0, 10, whole=False)
+        self._check_schedule("start", 0.01, 1, whole=False)
+        if self.order is None:  # kept as found: a recipe names it
+            object.__setattr__(self, "order", "random" if self.relaxation == "icm" else "classes")
         for name, allowed in _CHOICES.items():
             check_name(getattr(self, name), allowed, name=name)
         for name in ("every", "resynthesis", "shares", "spread"):
@@ -176,6 +190,11 @@ class MrfConfig:
         return _BY_SORT[name][sort] if given is None else given
 
     @classmethod
+    def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Complete the settings of a recipe or a model that is older than some of them."""
+        return {"order": "classes", "start": (1.0,), **settings}
+
+    @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
         """Return the settings of a preset."""
         return dict(_PRESETS[name])
@@ -190,6 +209,7 @@ _BY_SORT: dict[str, dict[str, float]] = {
 
 _CHOICES = {
     "relaxation": ("gibbs", "icm", "annealing"),
+    "order": ("classes", "random"),
     "heuristic": ("h1a", "h1b", "h2a", "h2b"),
     "upsampling": ("one", "all"),
 }
@@ -202,16 +222,19 @@ _PRESETS: dict[str, dict[str, Any]] = {
         "sweeps": (100,),
         "correction": 0.0,
         "shares": False,
-        "bandwidth": 1.0,
+        "order": "random",
+        "bandwidth": 0.2,
         "feedback": 0.0,
         "coupling": 0.0,
         "oblique": False,
         "candidates": 65536,
-        "every": False,
-        "levels": 256,
+        "every": True,
+        "levels": 32,
         "colours": 255,
         "spread": False,
         "upsampling": "all",
+        "xi": -8.0,
+        "start": (0.1, 0.1, 0.3),
         "polish": 0,
     },
 }

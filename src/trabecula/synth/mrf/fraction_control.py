@@ -222,12 +222,16 @@ class FractionShifts:
     groups : (L,) uint8
     wanted : (L,) float64
         Shares of the levels.
-    of_groups, fine : (G,), (L,) int64
+    enough : int
+        Sites of a class that give it its own shifts; of fewer the shifts move part of the way,
+        since a few sites need not have the shares of all.
+    by_group, by_level : (G,), (L,) int64
         In units; each class starts from those of the class before.
     """
 
     groups: np.ndarray
     wanted: np.ndarray
+    enough: int = 1
 
     def __post_init__(self) -> None:
         self._wanted_groups = np.bincount(self.groups, self.wanted)
@@ -244,17 +248,18 @@ class FractionShifts:
         work.enter("score groups")
         self._score_groups(site_class, score, coldness)
         work.enter("shift groups")
-        self.by_group = group_shifts(
+        solved = group_shifts(
             work["energy"],
             self._wanted_groups,
             work.adopt("lead", allocate_rows(site_class.count_in_result)),
             coldness=coldness,
             start=self.by_group,
         )
+        self.by_group = self._move(self.by_group, solved, site_class.count_in_result)
         work.enter("count levels")
         shift = self.by_group[self.groups] + self.by_level
         if len(self._wanted_groups) < len(self.wanted):
-            self.by_level = level_shifts(
+            moved = level_shifts(
                 self._count_by_level(site_class, score, shift, coldness),
                 self.groups,
                 self.wanted,
@@ -262,7 +267,12 @@ class FractionShifts:
                 coldness=coldness,
                 shift=self.by_level,
             )
+            self.by_level = self._move(self.by_level, moved, site_class.count_in_result)
         return shift.astype(np.int32)
+
+    def _move(self, before: np.ndarray, after: np.ndarray, sites: int) -> np.ndarray:
+        """Return shifts moved from `before` towards `after`, as far as so many sites tell."""
+        return before + (after - before) * min(sites, self.enough) // self.enough
 
     def _score_groups(self, site_class: SiteClass, score: np.ndarray, coldness: int) -> None:
         """Compute scores (S', G) int64 of the groups at the sites in the result."""

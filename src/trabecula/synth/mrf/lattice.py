@@ -328,7 +328,7 @@ def _free_sites(domain: np.ndarray | None, known: np.ndarray) -> np.ndarray:
     return free
 
 
-ClassName = tuple[int, int, int, int]
+ClassName = tuple[int, ...]
 
 
 def ring_colours(side: int, reach: int, *, even: bool = False) -> tuple[np.ndarray, int]:

@@ -25,10 +25,13 @@ from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.fraction_control import FractionShifts
 from trabecula.synth.mrf.lattice import (
     ALL,
+    ClassName,
+    SiteClasses,
     SiteLattice,
     marks_or_all,
 )
 from trabecula.synth.mrf.picture_levels import PictureLevels
+from trabecula.synth.mrf.random_order import RandomTurns, draw_turns
 from trabecula.synth.mrf.site_update import (
     COLDEST,
     ClassScores,
@@ -47,6 +50,8 @@ from trabecula.synth.mrf.statistics_feedback import BiasFeedback, PairCouplings,
 from trabecula.synth.shared.statistics.pairs import Pairs
 
 T = TypeVar("T")
+
+_ENOUGH = 64  # sites of a turn whose shares say what shifts are needed
 
 # With one update a sweep, voxels at large distances flip together at every sweep.
 _PARTS = 4  # of a sweep; before each the field of the couplings is updated
@@ -68,6 +73,9 @@ def relaxation_stages(
     if config.relaxation == "icm":
         held = {"temperature": Array(shape, np.float32), "held": Array(shape, bool)}
     classes = class_stages(shape, view_sets, content, config, masked=masked)
+    if config.order == "random":
+        held["turn"] = Array(shape, np.uint16)
+        classes = (Stage("order", {"priority": Array(shape, np.uint32)}), *classes)
     if pairs is None:
         return within(held, classes)
     coupled = coupling_stages(pairs, content.features.shape[1])
@@ -131,6 +139,7 @@ class Relaxation:
             )
             for slice_views in self.view_sets
         ]
+        self._turn = self.work.zeros("turn") if config.order == "random" else None
         self._union = union_offsets(
             [slice_view.plane for slice_view in self.view_sets[0]], config.neighbourhood
         )
@@ -142,7 +151,9 @@ class Relaxation:
         self.bias_feedback = BiasFeedback(
             [joints[n] for n in sorted(joints)], len(self.view_sets[0]), rate=self._feedback
         )
-        self.shifts = FractionShifts(self.content.groups, self.wanted)
+        # a turn has few sites
+        enough = 1 if config.order == "classes" else _ENOUGH
+        self.shifts = FractionShifts(self.content.groups, self.wanted, enough)
 
     def run(
         self, before: Sequence[dict[str, Any]] = (), state: Checkpoint | None = None
@@ -186,23 +197,42 @@ class Relaxation:
         sites.
         """
         view_set = self._view_sets[step.view_set]
-        names = view_set.classes.names
-        order = generator(self.seed, f"mrf/{self.scale}/order", step.number).permutation(len(names))
-        tally = SweepTally(0, self.bias_feedback.empty_tables())
-        part = -(-len(order) // _PARTS)
         held = self.held if self.config.resynthesis else ALL
-        for number, place in enumerate(order):
+        classes, names = self._order(view_set, held, step.number)
+        tally = SweepTally(0, self.bias_feedback.empty_tables())
+        part = -(-len(names) // _PARTS)
+        for number, name in enumerate(names):
             if self.couplings is not None and number and number % part == 0:
                 self.couplings.update_field(self.lattice.levels, self.lattice.domain)
-            site_class = SiteClass(
-                view_set.classes, names[place], self.temperature, held, self.work
-            )
+            site_class = SiteClass(classes, name, self.temperature, held, self.work)
             if site_class.count:
                 tally += self._update_class(site_class, view_set, step)
             self.work.enter("find sites")
         if self._feedback:
             self.bias_feedback.learn(tally.tables)
         return tally.changed
+
+    def _order(
+        self, view_set: ViewSet, held: np.ndarray, sweep: int
+    ) -> tuple[SiteClasses | RandomTurns, list[ClassName]]:
+        """Return the classes of sites that a sweep updates at once, and their order."""
+        if self._turn is None:
+            names = view_set.classes.names
+            drawn = generator(self.seed, f"mrf/{self.scale}/order", sweep).permutation(len(names))
+            return view_set.classes, [names[place] for place in drawn]
+        self.work.enter("order")
+        turns = draw_turns(
+            self.lattice,
+            view_set.conflicts,
+            self.temperature,
+            held,
+            key=key(self.seed, f"mrf/{self.scale}/turns"),
+            sweep=sweep,
+            turn=self._turn,
+            priority=self.work.empty("priority"),
+        )
+        self.work.enter("find sites")
+        return turns, turns.names
 
     def _update_class(
         self, site_class: SiteClass, view_set: ViewSet, step: SweepStep
@@ -295,6 +325,11 @@ class Relaxation:
             ),
         ]
 
+    @property
+    def start(self) -> float:
+        """Return the temperature at which free voxels begin."""
+        return float(np.float32(_at_scale(self.config.start, self.scale)))
+
     def _temperature_fall(self) -> float:
         """Return the share by which the global temperature has fallen since the scale began
         (section V.B).
@@ -312,8 +347,8 @@ class Relaxation:
                 )
             )
 
-        start = sum_slabs(work, len(temperature))
-        return 1 - math.fsum(sums) / max(start, 1)
+        warm = sum_slabs(work, len(temperature))
+        return 1 - math.fsum(sums) / (self.start * max(warm, 1))
 
     def _state(self) -> dict[str, np.ndarray]:
         """Return the arrays of a checkpoint."""
@@ -396,7 +431,11 @@ def start_relaxation(
     )
     if config.relaxation == "icm":
         _set_temperatures(
-            lattice, relaxation.temperature, relaxation.held, inherits=coarse is not None
+            lattice,
+            relaxation.temperature,
+            relaxation.held,
+            inherits=coarse is not None,
+            start=relaxation.start,
         )
     return relaxation
 
@@ -458,10 +497,15 @@ def _set_free(lattice: SiteLattice, part: Any, found: np.ndarray) -> None:
 
 
 def _set_temperatures(
-    lattice: SiteLattice, temperature: np.ndarray, held: np.ndarray, *, inherits: bool
+    lattice: SiteLattice,
+    temperature: np.ndarray,
+    held: np.ndarray,
+    *,
+    inherits: bool,
+    start: float,
 ) -> None:
-    """Set the temperatures at the start, 1 or 0, and mark the voxels that `inherits` gave a 0: the
-    first of every eight.
+    """Set the temperatures at the `start`, and mark the voxels that `inherits` gave a 0: the first
+    of every eight.
     """
 
     def work(first: int, last: int) -> None:
@@ -469,7 +513,7 @@ def _set_temperatures(
             free = np.ones(lattice.shape[1:], bool) if lattice.free is None else lattice.free[z]
             if inherits and z % 2 == 0:
                 held[z, ::2, ::2] = free[::2, ::2]
-            temperature[z] = free & ~held[z]
+            temperature[z] = np.float32(start) * (free & ~held[z])
 
     for_slabs(work, lattice.shape[0])
 

@@ -26,6 +26,7 @@ from trabecula.synth.mrf.config import MrfConfig
 from trabecula.synth.mrf.density import POWERS, UNIT, power_of
 from trabecula.synth.mrf.lattice import ClassName, SiteClasses
 from trabecula.synth.mrf.picture_levels import PictureLevels
+from trabecula.synth.mrf.random_order import RandomTurns
 from trabecula.synth.mrf.slice_planes import (
     SliceView,
     ViewSet,
@@ -64,8 +65,7 @@ def class_stages(
     width, views = config.neighbourhood, len(view_sets[0])
     (levels, channels), groups = content.features.shape, int(content.groups.max()) + 1
     depth, *across = shape
-    # of a class at most one site in every block of a plane
-    sites = (depth, math.prod(max(1, side // (width // 2 + 1)) for side in across))
+    sites = (depth, _most_in_plane(across, width // 2 + 1, config.order))
     planes = -(-_FEW // sites[1])  # of a thread's cheap work
 
     def rows(dtype: Any, *more: int) -> Array:
@@ -102,6 +102,17 @@ def class_stages(
     return tuple(stages)
 
 
+def _most_in_plane(shape: Sequence[int], block: int, order: str | None) -> int:
+    """Return how many sites of a plane (Y, X) may be updated at once: in every square of `block`
+    voxels there is one at most.
+    """
+    down, across = (max(1, side // block) for side in shape)
+    if order == "classes":
+        return down * across
+    height, width = shape
+    return max(1, min(height * across, width * down) // block)  # in any arrangement
+
+
 @dataclass
 class SiteClass:
     """Sites of a class that a sweep visits, plane by plane. They are found anew wherever they are
@@ -111,7 +122,7 @@ class SiteClass:
     without entries all are. `work` has the arrays of `class_stages`.
     """
 
-    classes: SiteClasses
+    classes: SiteClasses | RandomTurns
     name: ClassName
     temperature: np.ndarray
     held: np.ndarray

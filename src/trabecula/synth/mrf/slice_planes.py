@@ -126,6 +126,8 @@ class ViewSet:
         oblique = any(any(slice_view.plane.diagonal) for slice_view in slice_views)
         planes = [slice_view.plane for slice_view in slice_views]
         self.classes = SiteClasses(lattice, width, oblique=oblique)
+        # wider than the views where these are two: at most one site in every block of a plane
+        self.conflicts = union_offsets([*map(plane_across, range(3)), *planes], width)
         self._lattice, self.content = lattice, content
         self._offsets = [
             (plane.offsets(width), plane.mirror_image.offsets(width)) for plane in planes
