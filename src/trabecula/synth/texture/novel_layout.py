@@ -32,6 +32,7 @@ from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.slabs import complement, count_true
 from trabecula.synth.shared.stages import LevelMemory, layout_stages, region_arrays
 from trabecula.synth.shared.statistics.density_slopes import DensitySlopes
+from trabecula.synth.shared.statistics.interface import interface_share, share_at, shorten_move
 from trabecula.synth.shared.statistics.long_waves import (
     adjust_long_waves,
     long_waves_of,
@@ -95,12 +96,22 @@ class Pass:
 
 @dataclass(frozen=True)
 class Aims:
-    """Targets of one level, learnt from the exemplars."""
+    """Targets of one level, learnt from the exemplars; with an `interface` (C,), the most that
+    steps may make of it.
+    """
 
     stack: Stack
     histograms: tuple[Histogram, ...]
     correlations: Correlations
     candidates: tuple[Candidates, ...]  # one per pass on this level
+    interface: np.ndarray | None = None
+
+    def with_targets(self, histograms: tuple[Histogram, ...], correlations: Correlations) -> Aims:
+        """Return the targets of material with these histograms and two-point functions."""
+        share = self.interface
+        if share is not None:
+            share = share_at(share, self.correlations, correlations)
+        return replace(self, histograms=histograms, correlations=correlations, interface=share)
 
 
 def passes(novelty: float, top: int, layout: str, *, beside: bool = False) -> tuple[Pass, ...]:
@@ -185,7 +196,8 @@ def aims_of(
         for p in schedule
         if p.level == level
     ]
-    return Aims(stack, stack.histograms, correlations, tuple(made))
+    share = interface_share(fields) if config.layout == "structure" else None
+    return Aims(stack, stack.histograms, correlations, tuple(made), share)
 
 
 def with_histograms(aims: Aims, histograms: tuple[Histogram, ...]) -> Aims:
@@ -194,7 +206,7 @@ def with_histograms(aims: Aims, histograms: tuple[Histogram, ...]) -> Aims:
     """
     target = aims.correlations
     reweighted = reweight_target(target, aims.histograms, histograms, softness=target.softness)
-    return replace(aims, histograms=histograms, correlations=reweighted)
+    return aims.with_targets(histograms, reweighted)
 
 
 def at_density(aims: Aims, slopes: DensitySlopes, t: float) -> Aims:
@@ -202,9 +214,7 @@ def at_density(aims: Aims, slopes: DensitySlopes, t: float) -> Aims:
     histograms = tuple(
         slopes.histogram(own, channel, t) for channel, own in enumerate(aims.histograms)
     )
-    return replace(
-        aims, histograms=histograms, correlations=slopes.correlations(aims.correlations, t)
-    )
+    return aims.with_targets(histograms, slopes.correlations(aims.correlations, t))
 
 
 def slices_for(
@@ -279,6 +289,8 @@ class PassStage(RoundStage):
     part : Pass
     grid : Grid
     target : Correlations
+    interface : (C,) float, optional
+        The most that steps may leave.
     stage : uint64
         Key of its random numbers.
     last : bool
@@ -289,6 +301,7 @@ class PassStage(RoundStage):
     part: Pass
     grid: Grid
     target: Correlations
+    interface: np.ndarray | None
     stage: np.uint64
     last: bool
 
@@ -344,6 +357,7 @@ class NovelRounds(CoarseToFine[Any]):
         grid = Grid.over(region, candidates, targets)
         later = self.schedule[place:]
         del self.regions[later[0].level + 1 if later else 0 :]
+        aims = self.aims[part.level]
         return PassStage(
             name,
             f"level {part.level}",
@@ -351,7 +365,8 @@ class NovelRounds(CoarseToFine[Any]):
             number,
             part,
             grid,
-            self.aims[part.level].correlations,
+            aims.correlations,
+            aims.interface,
             key(self.request.seed, f"novel/pass {number}"),
             number == len(self.schedule) - 1,
         )
@@ -513,6 +528,8 @@ class NovelRounds(CoarseToFine[Any]):
             work.enter("match")
             votes = two_point_step(work["field"], stage.target, debt=aim, periodic=periodic)
             work.adopt("votes", votes)
+            if stage.interface is not None:
+                shorten_move(work["field"], votes, stage.interface)
             if step == part.steps - 1:
                 work.enter("waves")
                 _hold_waves(votes, stage.target, grid.region, grid.targets)
