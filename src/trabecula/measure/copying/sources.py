@@ -170,7 +170,7 @@ def _propagate(
     depth, offsets = geometry.width[0], geometry.offsets
 
     def begin(start: int, stop: int) -> None:
-        _start_sources(
+        start_sources(
             cubes.planes, tree.cubes.planes, tree.features, tree.corners, shape, tree.nodes,
             tree.low, tree.high, cubes.blocks, offsets, cubes.counts, depth, geometry.step,
             geometry.bits, source, distance, start, stop,
@@ -217,7 +217,7 @@ def _fits(z, y, x, shape):
 
 
 @kernel
-def _start_sources(
+def start_sources(
     image, exemplar, features, corners, shape, nodes, low, high, blocks, offsets, counts, depth,
     step, bits, source, distance, start, stop,
 ):  # fmt: skip
