@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 import trabecula as tb
-from trabecula.measure import distance_transform, label_components, signed_distance
+from trabecula.measure import distance_transform, signed_distance
 from trabecula.measure.evenness import depth_of
 
 AMOUNT = 1.5
@@ -16,7 +16,11 @@ thirds of the local thickness.
 """
 STRETCH = 1.1
 CUTS = 0.3
-"""Share of the thinnest places of a phase that are cut through."""
+"""Share of the branches of a skeleton that are cut through, the thinnest ones."""
+WALL = 2
+"""Voxels by which a cut parts a branch."""
+BETWEEN_JOINTS = 2
+"""Kind of a branch from joint to joint."""
 
 
 def cut(scan: tb.Image, corner: tuple[int, ...], shape: tuple[int, ...]) -> tb.Image:
@@ -95,19 +99,17 @@ def blurred(exemplar: tb.Image, part: tb.Image, seed: int) -> tb.Image:
 
 
 def broken_struts(exemplar: tb.Image, part: tb.Image, seed: int) -> tb.Image:
-    """Cut through the solid at some of its thinnest places."""
-    return _break(part, of_solid=True, seed=seed)
+    """Cut through the thinnest three in ten of the solid's branches."""
+    return _break(part, of_solid=True)
 
 
 def closed_throats(exemplar: tb.Image, part: tb.Image, seed: int) -> tb.Image:
-    """Close the void at some of its narrowest places."""
-    return _break(part, of_solid=False, seed=seed)
+    """Close the narrowest three in ten of the void's branches."""
+    return _break(part, of_solid=False)
 
 
 def rods(exemplar: tb.Image, part: tb.Image, seed: int) -> tb.Image:
-    """Draw rods of the solid's thickness, in any direction, up to the part's fraction; of what is
-    made of rods already, plates.
-    """
+    """Lay straight rods of the solid's thickness in any direction, up to the part's fraction."""
     solid = part.values != _void(part)
     width = max(3.0, float(tb.measure.thickness(solid.astype(np.uint8))))
     rng = np.random.default_rng(seed)
@@ -167,7 +169,7 @@ CHANGES: dict[str, Callable[[tb.Image, tb.Image, int], tb.Image]] = {
     "blurred, cut again": blurred,
     "broken struts": broken_struts,
     "closed throats": closed_throats,
-    "rods": rods,
+    "rods for the solid": rods,
     "stretched by 10 %": stretched,
     "hollow": hollow,
     "graded": graded,
@@ -194,28 +196,27 @@ def _uneven(part: tb.Image, profile: np.ndarray) -> tb.Image:
     return _cut_at_fraction(part, signed_distance(solid) + step * profile)
 
 
-def _break(part: tb.Image, *, of_solid: bool, seed: int) -> tb.Image:
-    """Part a phase where eroding it parts it: the voxels between the pieces, at some of the places.
-
-    The phase is eroded by a third of its thickness and grown back, piece by piece; what no piece
-    reaches, and where pieces meet, are its thin places.
+def _break(part: tb.Image, *, of_solid: bool) -> tb.Image:
+    """Cut the thinnest branches of a phase's skeleton, at their thinnest voxel, by a wall of the
+    other phase across the branch.
     """
     solid = part.values != _void(part)
     phase = solid if of_solid else ~solid
-    depth = distance_transform(phase)
-    radius = float(tb.measure.thickness(phase.astype(np.uint8))) / 2
-    thin = phase & (depth <= max(1.5, 0.75 * radius)) & _is_neck(phase, depth)
-    places, count = label_components(thin, connectivity=26)
-    rng = np.random.default_rng(seed)
-    chosen = np.flatnonzero(rng.random(count) < CUTS) + 1
-    lost = np.isin(places, chosen)
+    graph = tb.measure.skeleton_graph(phase.astype(np.uint8), phase=1)
+    depth = np.where(phase, distance_transform(phase), 0)
+    paths = [graph.path(int(n)) for n in np.flatnonzero(graph.kind == BETWEEN_JOINTS)]
+    paths = [path for path in paths if len(path) > 4]
+    radii = [depth[tuple(path[2:-2].T)].min() for path in paths]
     values = part.values.copy()
-    values[lost] = _void(part) if of_solid else int(np.bincount(part.values[solid]).argmax())
+    other = _void(part) if of_solid else int(np.bincount(part.values[solid]).argmax())
+    places = np.stack(np.indices(part.shape), -1)
+    for n in np.argsort(radii, kind="stable")[: round(CUTS * len(paths))]:
+        path = paths[n]
+        at = 2 + int(np.argmin(depth[tuple(path[2:-2].T)]))
+        way = (path[at + 2] - path[at - 2]) / np.linalg.norm(path[at + 2] - path[at - 2])
+        reach = int(2 * radii[n]) + 3
+        box = tuple(slice(max(a - reach, 0), a + reach + 1) for a in path[at])
+        away = places[box] - path[at]
+        wall = (np.abs(away @ way) <= WALL / 2) & (np.linalg.norm(away, axis=-1) <= 2 * radii[n] + 2)
+        values[box][wall & phase[box]] = other
     return with_values(part, values)
-
-
-def _is_neck(phase: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Mark the voxels of a phase that the pieces of its core meet in: nearest to one piece, beside
-    a voxel that is nearest to another.
-    """
-    raise NotImplementedError

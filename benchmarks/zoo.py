@@ -1,0 +1,164 @@
+"""The zoo: error rates of the certificate, of real parts of scans and of fakes that are wrong in
+one way each.
+
+Frozen: scans, parts, fakes and seeds stay as they are. The exemplar is the first corner of a scan,
+at most 128 voxels a side; real parts are cubes of 64 voxels (48 of small scans) of the same scan
+that share no voxel with it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+
+import numpy as np
+
+import trabecula as tb
+from common import table
+from descriptors import scans
+from fakes import CHANGES, COPIES, MOSAICS, cut
+
+LARGEST = 128
+SIDE, SMALL_SIDE = 64, 48
+MOST, EACH = 12, 2
+"""Real parts of a scan, and fakes of a kind."""
+MEMBERS = 8
+MATERIALS = (
+    "bone a", "bone b", "bone with cortex", "Berea", "NMC", "cement, Otsu", "soil, Otsu",
+    "cathode, coarse", "polymer fibres, Otsu", "foam sample",
+)  # fmt: skip
+REAL, REAL_ENSEMBLE, COLLAPSED = "real part", "real ensemble", "collapsed ensemble"
+KINDS = (REAL, *COPIES, *MOSAICS, *CHANGES, REAL_ENSEMBLE, COLLAPSED)
+
+Counts = dict[str, Counter[str]]
+
+
+def zoo() -> None:
+    """Verdicts at level "default" of real held-out parts and of fakes, by material: pass / fail /
+    cannot tell, and the figure that fails first.
+    """
+    chosen = os.environ.get("TRABECULA_BENCH_ONLY", "").split(";")
+    found = {
+        name: judge(name, scan)
+        for name, scan in materials().items()
+        if chosen == [""] or name in chosen
+    }
+    show(found)
+
+
+def materials() -> dict[str, tb.Image]:
+    """Return the scans of the zoo, where they are."""
+    known = scans() | {f"{name} sample": tb.sample(name) for name in tb.samples()}
+    return {name: known[name] for name in MATERIALS if name in known}
+
+
+def judge(name: str, scan: tb.Image) -> Counts:
+    """Return the verdicts of one material by kind, and the first figures that failed.
+
+    Changes are made to real parts that do not fail themselves, so that what fails is the change;
+    where all fail, to any.
+    """
+    exemplar, inside, outside = split(scan)
+    counts: Counts = defaultdict(Counter)
+    kinds, images = zip(*copies(exemplar, inside, outside), strict=True)
+    count = len(images)
+    # The first is smaller than the others: realisations of one shape would be compared by pairs.
+    verdicts = tb.verify(exemplar, *images, *outside)
+    for kind, certificate in zip((*kinds, *[REAL] * len(outside)), verdicts, strict=True):
+        note(counts[kind], certificate)
+    fine = [
+        part
+        for part, certificate in zip(outside, verdicts[count:], strict=True)
+        if not certificate.failed
+    ]
+    sound = [(fine or outside)[n % len(fine or outside)] for n in range(EACH)]
+    kinds, images = zip(*changes(exemplar, sound), strict=True)
+    odd = cut(outside[0], (0, 0, 0), tuple(side - 1 for side in outside[0].shape))
+    for kind, certificate in zip(kinds, tb.verify(exemplar, odd, *images)[1:], strict=True):
+        note(counts[kind], certificate)
+    for kind, members in {REAL_ENSEMBLE: outside, COLLAPSED: outside[:1] * MEMBERS}.items():
+        if len(members) >= MEMBERS:
+            verdict = tb.verify_ensemble(exemplar, members, level="quick").verdict
+            counts[kind][verdict] += 1
+    print(f"{name}: {len(outside)} real parts, exemplar {exemplar.shape}", flush=True)
+    for kind, counter in counts.items():
+        print("   ", kind, dict(counter), flush=True)
+    return counts
+
+
+def note(counter: Counter[str], certificate: tb.Certificate) -> None:
+    """Count a verdict, and the first figure that failed."""
+    counter[certificate.verdict.replace("not decided", "cannot tell")] += 1
+    if certificate.failed:
+        counter[f"first: {certificate.failed[0]}"] += 1
+
+
+def split(scan: tb.Image) -> tuple[tb.Image, list[tb.Image], list[tb.Image]]:
+    """Return the exemplar, parts that it holds, and parts of the same size that it does not."""
+    side = SIDE if max(scan.shape) >= 2 * SIDE else SMALL_SIDE
+    shape = [min(LARGEST, length) for length in scan.shape]
+    longest = int(np.argmax(scan.shape))
+    shape[longest] = min(shape[longest], scan.shape[longest] - side)
+    corners = [corner for corner in product(*(places(length, side) for length in scan.shape))]
+    beyond = [
+        corner for corner in corners if any(a >= b for a, b in zip(corner, shape, strict=True))
+    ]
+    beyond = [beyond[n * (len(beyond) - 1) // (MOST - 1)] for n in range(MOST)] if len(
+        beyond
+    ) > MOST else beyond
+    inside = [tuple(0 for _ in shape), tuple(length - side for length in shape)][:EACH]
+    return (
+        cut(scan, (0,) * 3, tuple(shape)),
+        [cut(scan, corner, (side,) * 3) for corner in inside],
+        [cut(scan, corner, (side,) * 3) for corner in beyond],
+    )
+
+
+def places(length: int, side: int) -> list[int]:
+    """Return where cubes begin that lie side by side as far apart as they fit."""
+    count = length // side
+    return [n * (length - side) // max(1, count - 1) for n in range(count)]
+
+
+def copies(
+    exemplar: tb.Image, inside: Sequence[tb.Image], outside: Sequence[tb.Image]
+) -> Iterator[tuple[str, tb.Image]]:
+    """Yield copies of parts of the exemplar, and mosaics of these and of other parts."""
+    for kind, make in COPIES.items():
+        for seed, part in enumerate(inside):
+            yield kind, make(exemplar, part, seed)
+    for kind, join in MOSAICS.items():
+        for seed, part in enumerate(inside):
+            yield kind, join(exemplar, part, outside[seed % len(outside)])
+
+
+def changes(exemplar: tb.Image, parts: Sequence[tb.Image]) -> Iterator[tuple[str, tb.Image]]:
+    """Yield parts that are wrong in one way."""
+    for kind, make in CHANGES.items():
+        for seed, part in enumerate(parts):
+            yield kind, make(exemplar, part, seed)
+
+
+def show(found: Mapping[str, Counts]) -> None:
+    """Print the table: pass / fail / cannot tell of every kind by material and in sum."""
+    row = table("kind", *found, "all", "failed", "first that fails", wide=30)
+    for kind in KINDS:
+        counters = {name: counts[kind] for name, counts in found.items()}
+        total = sum(counters.values(), Counter())
+        judged = sum(total[verdict] for verdict in ("pass", "fail", "cannot tell"))
+        first = Counter({key: n for key, n in total.items() if key.startswith("first: ")})
+        row(
+            kind,
+            *map(cell, counters.values()),
+            cell(total),
+            f"{total['fail'] / judged:.0%}" if judged else "-",
+            ", ".join(key.removeprefix("first: ") for key, _ in first.most_common(2)),
+        )
+
+
+def cell(counter: Counter[str]) -> str:
+    """Return pass / fail / cannot tell."""
+    counts = [counter[verdict] for verdict in ("pass", "fail", "cannot tell")]
+    return "/".join(map(str, counts)) if sum(counts) else "-"
