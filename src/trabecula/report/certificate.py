@@ -37,6 +37,7 @@ from trabecula.report.descriptors import (
 from trabecula.report.evenness import Windows, choose_windows, local_fractions
 from trabecula.report.metrics import Metric
 from trabecula.report.notes import exemplar_notes, image_notes
+from trabecula.report.rates import rates_note
 from trabecula.report.reference import Reference
 from trabecula.report.slicewise import judge_volumes
 from trabecula.report.verdict import Certificate, about_image
@@ -133,9 +134,11 @@ def verify(
     A figure passes inside its band. The bands of `components`, `floating` and `floating_voxels` are
     scaled to the image's volume; these, `largest_fraction` and `percolating_fraction` fail on one
     side only, since fewer loose parts than the exemplar has are no fault. `percolates` fails along
-    an axis where the exemplar percolates and the image does not. `coherence` is the share of voxels
+    an axis where the exemplar percolates and the image does not; of an image smaller than the
+    exemplar, where all parts of the exemplar percolate as well. `coherence` is the share of voxels
     whose source in the exemplar moves along over 4 voxels; its band is that of parts of the
-    exemplar searched in other parts.
+    exemplar searched in other parts. `turned_copies` is the share of voxels whose neighbourhood
+    recurs in the exemplar mirrored or turned (see `measure.turned_copies`).
 
     Evenness: over all windows of three sizes (see `measure.evenness`), the standard deviation and
     the extremes of the local fraction (`fraction_spread_large`, `fraction_lowest_large`, ...), of
@@ -292,7 +295,11 @@ def _certificate(
         about["physics"] = {"exemplar": reference.own.details, "image": measured.details}
     if baseline:
         curves["baseline"] = baseline[1].curves
-    notes = (*exemplar_notes(reference), *image_notes(reference.exemplar, image, metrics, measured))
+    notes = (
+        *exemplar_notes(reference),
+        *image_notes(reference.exemplar, image, metrics, measured),
+        *rates_note(reference.exemplar, image, level),
+    )
     noise = baseline[0] if baseline else None
     reasons = (*exemplar_reasons(reference), *level_reasons(reference, level, noise, metrics))
     maps = {

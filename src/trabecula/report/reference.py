@@ -13,7 +13,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.measure.copying import TurnedCopies, coherence
 from trabecula.measure.copying.coherence import sample_sources
-from trabecula.measure.copying.turned import find_turned
+from trabecula.measure.copying.turned import ENOUGH, find_turned
 from trabecula.measure.evenness import Evenness
 from trabecula.measure.registry import (
     AT_LEAST,
@@ -117,7 +117,7 @@ class Reference:
         known = [number for number in self.spread["turned_copies"] if number is not None]
         found = Metric(None)
         if turned is not None:
-            limit = max(TURNED, draw_limit(known, math.sqrt(TURNED / SAMPLES))) if known else None
+            limit = turned_limit(known) if known else None
             found = Metric(
                 turned.share,
                 None if limit is None else (0.0, limit),
@@ -245,6 +245,12 @@ def coherence_limit(known: Sequence[float]) -> float:
     """Return the largest share of voxels that are copies by chance, from those of real parts."""
     noise = math.sqrt(max(0.02, float(np.mean(known))) / SAMPLES)
     return min(1.0, draw_limit(known, noise))
+
+
+def turned_limit(known: Sequence[float]) -> float:
+    """Return the largest share of turned copies by chance, from those of real parts."""
+    noise = math.sqrt(max(0.02, float(np.mean(known))) / ENOUGH)
+    return min(1.0, max(TURNED, draw_limit(known, noise)))
 
 
 def independent_coherence(boxes: Sequence[Image]) -> list[float | None]:

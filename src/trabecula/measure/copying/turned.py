@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number, as_seed
 from trabecula.core.image import Image
 from trabecula.measure.copying.coherence import SourceSample, sample_sources
-from trabecula.measure.copying.index import neighbourhoods_of
-from trabecula.measure.copying.kernels import FAR
+from trabecula.measure.copying.index import pack_neighbourhoods
 from trabecula.measure.copying.pair import Pair
 from trabecula.measure.copying.sources import start_sources
 
@@ -25,7 +24,7 @@ voxels a side); at one half it is up to 12 %.
 LEAST = 9
 """Differing voxels of a neighbourhood: one that is nearer to its own source recurs everywhere."""
 
-FEWEST, ENOUGH = 20, 125
+FEWEST, ENOUGH = 20, 64
 """Voxels to look at: with fewer nothing is known, and more are not worth their time."""
 
 
@@ -116,8 +115,9 @@ def find_turned(found: SourceSample) -> TurnedCopies:
     if len(chosen) < min(FEWEST, len(differing)):
         return TurnedCopies(0.0, ())
     turns = list_symmetries(3 - pair.lifted)[1:]
-    least = _turned_distances(found, found.sites[chosen], turns)
-    hits = least * NEARER < differing[chosen]
+    # below a third of the own source's, never of none
+    bounds = (differing[chosen] + NEARER - 1) // NEARER
+    hits = _find_nearer(found, found.sites[chosen], turns, bounds)
     any_hit, by_turn = hits.any(axis=0), hits.sum(axis=1)
     most = int(np.argmax(by_turn))
     named = by_turn[most] > 0 and 2 * by_turn[most] >= any_hit.sum()
@@ -178,30 +178,32 @@ def _join(names: list[str]) -> str:
     return " and ".join([*([", ".join(names[:-1])] if len(names) > 1 else []), names[-1]])
 
 
-def _turned_distances(
+def _find_nearer(
     found: SourceSample,
     sites: np.ndarray,
     turns: list[tuple[tuple[int, ...], tuple[bool, ...]]],
+    bounds: np.ndarray,
 ) -> np.ndarray:
-    """Return in how many voxels the nearest candidate of one leaf of the tree differs, (turns,
-    sites) int32, for the neighbourhood of every site, turned.
+    """Return whether a leaf of the tree holds a candidate that differs in fewer voxels than the
+    bound of a site, (turns, sites) bool, from the neighbourhood of the site, turned.
     """
     pair, tree, geometry = found.pair, found.tree, found.pair.geometry
     stack = _turned_neighbourhoods(pair, sites, turns)
-    depth = geometry.width[0]
-    cubes = neighbourhoods_of(stack, geometry)
+    planes, blocks = pack_neighbourhoods(stack, geometry)
     # One neighbourhood behind the other: those that begin between two of them are not asked.
+    depth = geometry.width[0]
     first = np.arange(0, len(stack), depth)
-    wanted = np.zeros(cubes.counts.shape, bool)
+    wanted = np.zeros((len(stack) - depth + 1, 1, 1), bool)
     wanted[first] = True
     source, distance = np.empty((2, *wanted.shape), np.int32)
+    distance[first, 0, 0] = np.tile(bounds, len(turns))
     start_sources(
-        cubes.planes, tree.cubes.planes, tree.features, tree.corners,
-        np.asarray(tree.cubes.counts.shape), tree.nodes, tree.low, tree.high, cubes.blocks,
+        planes, tree.cubes.planes, tree.features, tree.corners,
+        np.asarray(tree.cubes.counts.shape), tree.nodes, tree.low, tree.high, blocks,
         geometry.offsets, wanted, depth, geometry.step, geometry.bits, source, distance, 0,
         len(wanted),
     )  # fmt: skip
-    return np.minimum(distance[first, 0, 0], FAR // NEARER - 1).reshape(len(turns), len(sites))
+    return source[first, 0, 0].reshape(len(turns), len(sites)) >= 0
 
 
 def _turned_neighbourhoods(
