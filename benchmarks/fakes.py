@@ -217,6 +217,8 @@ def _break(part: tb.Image, *, of_solid: bool) -> tb.Image:
         reach = int(2 * radii[n]) + 3
         box = tuple(slice(max(a - reach, 0), a + reach + 1) for a in path[at])
         away = places[box] - path[at]
-        wall = (np.abs(away @ way) <= WALL / 2) & (np.linalg.norm(away, axis=-1) <= 2 * radii[n] + 2)
+        wall = (np.abs(away @ way) <= WALL / 2) & (
+            np.linalg.norm(away, axis=-1) <= 2 * radii[n] + 2
+        )
         values[box][wall & phase[box]] = other
     return with_values(part, values)

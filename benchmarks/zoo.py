@@ -22,8 +22,8 @@ from fakes import CHANGES, COPIES, MOSAICS, cut
 
 LARGEST = 128
 SIDE, SMALL_SIDE = 64, 48
-MOST, EACH = 9, 2
-"""Real parts of a scan, and fakes of a kind."""
+MOST = 9
+"""Real parts of a scan."""
 MEMBERS = 8
 MATERIALS = (
     "bone a", "bone b", "bone with cortex", "Berea", "NMC", "cement, Otsu", "soil, Otsu",
@@ -57,24 +57,19 @@ def materials() -> dict[str, tb.Image]:
 def judge(name: str, scan: tb.Image) -> Counts:
     """Return the verdicts of one material by kind, and the first figures that failed.
 
-    Changes count that were made to real parts that do not fail themselves, so that what fails is
-    the change; where those fail, any.
+    Changes are made to the first real part that passes at level "quick", so that what fails is the
+    change; where none does, to the first.
     """
     exemplar, inside, outside = split(scan)
     counts: Counts = defaultdict(Counter)
-    changed = outside[:: -(-len(outside) // EACH)]
-    samples = [*copies(exemplar, inside, outside), *changes(exemplar, changed)]
+    quick = tb.verify(exemplar, *outside, level="quick")
+    sound = [part for part, found in zip(outside, quick, strict=True) if not found.failed]
+    samples = [*copies(exemplar, inside, outside), *changes(exemplar, (sound or outside)[:1])]
     samples += [(REAL, part) for part in outside]
     # The first is smaller than the others: results of one shape would be compared by pairs.
     certificates = tb.verify(exemplar, *(image for _, image in samples))
-    verdicts = list(zip((kind for kind, _ in samples), certificates, strict=True))
-    real = [not certificate.failed for kind, certificate in verdicts if kind == REAL]
-    sound = real[:: -(-len(outside) // EACH)]
-    seen: Counter[str] = Counter()
-    for kind, certificate in verdicts:
-        seen[kind] += 1
-        if kind not in CHANGES or sound[seen[kind] - 1] or not any(sound):
-            note(counts[kind], certificate)
+    for (kind, _), certificate in zip(samples, certificates, strict=True):
+        note(counts[kind], certificate)
     for kind, members in {REAL_ENSEMBLE: outside, COLLAPSED: outside[:1] * MEMBERS}.items():
         if len(members) >= MEMBERS:
             verdict = tb.verify_ensemble(exemplar, members, level="quick").verdict
@@ -93,8 +88,8 @@ def note(counter: Counter[str], certificate: tb.Certificate) -> None:
         counter[f"first: {certificate.failed[0]}"] += 1
 
 
-def split(scan: tb.Image) -> tuple[tb.Image, list[tb.Image], list[tb.Image]]:
-    """Return the exemplar, parts that it holds, and parts of the same size that it does not."""
+def split(scan: tb.Image) -> tuple[tb.Image, tb.Image, list[tb.Image]]:
+    """Return the exemplar, a part that it holds, and parts of the same size that it does not."""
     side = SIDE if max(scan.shape) >= 2 * SIDE else SMALL_SIDE
     shape = [min(LARGEST, length) for length in scan.shape]
     longest = int(np.argmax(scan.shape))
@@ -103,13 +98,15 @@ def split(scan: tb.Image) -> tuple[tb.Image, list[tb.Image], list[tb.Image]]:
     beyond = [
         corner for corner in corners if any(a >= b for a, b in zip(corner, shape, strict=True))
     ]
-    beyond = [beyond[n * (len(beyond) - 1) // (MOST - 1)] for n in range(MOST)] if len(
-        beyond
-    ) > MOST else beyond
-    inside = [tuple(0 for _ in shape), tuple(length - side for length in shape)][:EACH]
+    beyond = (
+        [beyond[n * (len(beyond) - 1) // (MOST - 1)] for n in range(MOST)]
+        if len(beyond) > MOST
+        else beyond
+    )
+    middle = tuple((length - side) // 2 for length in shape)
     return (
         cut(scan, (0,) * 3, tuple(shape)),
-        [cut(scan, corner, (side,) * 3) for corner in inside],
+        cut(scan, middle, (side,) * 3),
         [cut(scan, corner, (side,) * 3) for corner in beyond],
     )
 
@@ -121,15 +118,13 @@ def places(length: int, side: int) -> list[int]:
 
 
 def copies(
-    exemplar: tb.Image, inside: Sequence[tb.Image], outside: Sequence[tb.Image]
+    exemplar: tb.Image, inside: tb.Image, outside: Sequence[tb.Image]
 ) -> Iterator[tuple[str, tb.Image]]:
-    """Yield copies of parts of the exemplar, and mosaics of these and of other parts."""
+    """Yield copies of a part of the exemplar, and mosaics of it and of another part."""
     for kind, make in COPIES.items():
-        for seed, part in enumerate(inside):
-            yield kind, make(exemplar, part, seed)
+        yield kind, make(exemplar, inside, 1)
     for kind, join in MOSAICS.items():
-        for seed, part in enumerate(inside):
-            yield kind, join(exemplar, part, outside[seed % len(outside)])
+        yield kind, join(exemplar, inside, outside[0])
 
 
 def changes(exemplar: tb.Image, parts: Sequence[tb.Image]) -> Iterator[tuple[str, tb.Image]]:

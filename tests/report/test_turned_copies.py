@@ -78,7 +78,9 @@ def test_a_plain_and_a_turned_copy_are_told_in_one_sentence():
 
 def test_error_rates_are_told_where_they_were_measured(monkeypatch):
     monkeypatch.setattr(
-        rates, "MEASURED", rates.Rates("default", "bench", 3, (48, 96), (48, 64), 50, 2, 8, 40, 9, 38)
+        rates,
+        "MEASURED",
+        rates.Rates("default", "bench", 3, (48, 96), (48, 64), 50, 2, 8, 40, 9, 38),
     )
     scan, image = (tb.Image(np.zeros((side,) * 3, np.uint8), "labels") for side in (64, 48))
     (text,) = rates_note(scan, image, "default")

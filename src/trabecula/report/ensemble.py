@@ -29,7 +29,6 @@ from trabecula.report.real_parts import RealParts
 from trabecula.report.reference import (
     LAG,
     SAMPLES,
-    TURNED,
     coherence_limit,
     search_copies,
     search_parts,
@@ -45,12 +44,6 @@ EXAMINED = 4
 
 REPEATED = 0.5
 """Two members that differ in a smaller share of what independent ones would are called repeated."""
-
-
-CHANCE = 0.1
-"""Share of copied voxels that is no fault, since the largest of several members and pairs counts:
-copies have 0.5 to 1.
-"""
 
 
 def verify_ensemble(
@@ -233,13 +226,14 @@ def _find_copies(
     real = [] if level == "quick" else [*_search_real(exemplars)]
     if not real:
         return Copying(closest, pair, faults=tuple(faults))
-    limit = max(CHANCE, coherence_limit([share for share, _ in real]))
+    limit = coherence_limit([share for share, _ in real])
     among = _coherence_among([members[n] for n in chosen])
-    copied, turned = {}, {}
+    copied: dict[str, float] = {}
+    turned: dict[str, TurnedCopies] = {}
     for n in progress.track(chosen, "searching copies"):
         found = [search_copies(exemplar, members[n]) for exemplar in exemplars]
         copied[names[n]] = max(share or 0.0 for share, _ in found)
-        turned |= {names[n]: copies for _, copies in found if copies and copies.share > TURNED}
+        turned |= {names[n]: copies for _, copies in found if copies is not None}
     worst = max(copied, key=lambda name: copied[name])
     if copied[worst] > limit:
         faults.append(

@@ -37,7 +37,7 @@ def rates_note(exemplar: Image, image: Any, level: str) -> Iterator[str]:
     labels of these sizes.
     """
     found = MEASURED
-    if level != found.level or exemplar.kind != "labels" or exemplar.ndim != 3:
+    if not found.real or level != found.level or exemplar.kind != "labels" or exemplar.ndim != 3:
         return
     measured = zip((exemplar, image), (found.exemplar, found.image), strict=True)
     if not all(low <= side <= high for one, (low, high) in measured for side in one.shape):

@@ -168,7 +168,9 @@ def name_symmetry(axes: tuple[str, ...]) -> str:
         return turn if turned else f"mirrored along {_join([*names])} and {turn}"
     if (matrix == matrix.T).all():  # two axes change places
         diagonal = f"the diagonal of {_join(moved)}"
-        return f"turned by 180 degrees about {diagonal}" if turned else f"mirrored across {diagonal}"
+        return (
+            f"turned by 180 degrees about {diagonal}" if turned else f"mirrored across {diagonal}"
+        )
     turn = "turned by 90 degrees" + "".join(f" about {name}" for name in still)
     return turn if turned else f"mirrored along {_join(still)} and {turn}"
 
