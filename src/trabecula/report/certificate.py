@@ -200,21 +200,51 @@ def verify(
         return found[0] if len(found) == 1 else found
     for image, name in zip(others, names, strict=True):
         check_corresponds(exemplar, image, name)
-    reach = min(r_max, *(min(image.shape) // 2 for image in (exemplar, *others)))
-    fits = min((min(part.shape) - 1 for part in parts(exemplar)), default=reach)
-    reach = max(1, min(reach, fits))
-    windows = choose_windows(exemplar, others)
-    descriptors = _choose_descriptors(exemplar, reach, level, windows, box, memory)
-    thorough = level != "quick" and exemplar.kind == "labels"
-    reference = Reference(exemplar, descriptors, copying=thorough)
-    baseline = _baseline(reference, reach) if thorough else None
+    judge = Judge(exemplar, others, r_max=r_max, level=level, box=box, memory=memory)
     found = [
-        _certificate(reference, image, name, level, baseline)
+        judge.certificate(image, name)
         for image, name in progress.track(list(zip(others, names, strict=True)), "comparing")
     ]
-    found = _add_diversity(found, others) if thorough else found
+    found = _add_diversity(found, others) if judge.thorough else found
     found = [replace(one, notes=(*one.notes, slab_note)) for one in found] if slab_note else found
     return found[0] if len(found) == 1 else found
+
+
+class Judge:
+    """An exemplar that was measured, and its baseline; `verify` judges every image by one.
+
+    Parameters
+    ----------
+    exemplar : Image
+    images : sequence of Image or Slabs
+        All that are to be judged: the smallest limits curves and windows.
+    r_max, level, box, memory
+        As of `verify`.
+    """
+
+    def __init__(
+        self,
+        exemplar: Image,
+        images: Sequence[Image],
+        *,
+        r_max: int = 50,
+        level: str = "default",
+        box: int | None = None,
+        memory: int | None = None,
+    ) -> None:
+        self.level = level
+        self.thorough = level != "quick" and exemplar.kind == "labels"
+        reach = min(r_max, *(min(image.shape) // 2 for image in (exemplar, *images)))
+        fits = min((min(part.shape) - 1 for part in parts(exemplar)), default=reach)
+        reach = max(1, min(reach, fits))
+        windows = choose_windows(exemplar, images)
+        descriptors = _choose_descriptors(exemplar, reach, level, windows, box, memory)
+        self.reference = Reference(exemplar, descriptors, copying=self.thorough)
+        self.baseline = _baseline(self.reference, reach) if self.thorough else None
+
+    def certificate(self, image: Image, name: str, *, copying: bool | None = None) -> Certificate:
+        """Judge an image; `copying` False leaves out the search for copies, most of the time."""
+        return _certificate(self.reference, image, name, self.level, self.baseline, copying)
 
 
 def _as_image(image: Image | Slabs | ArrayLike, *, name: str) -> Image:
@@ -278,9 +308,10 @@ def _certificate(
     name: str,
     level: str,
     baseline: tuple[dict[str, Metric], Measurements] | None,
+    copying: bool | None,
 ) -> Certificate:
     measured = reference.measure(image)
-    metrics = reference.judge(image, measured)
+    metrics = reference.judge(image, measured, copying=copying)
     curves = {
         "exemplar": reference.own.curves,
         "image": measured.curves,

@@ -232,8 +232,9 @@ def _find_copies(
     turned: dict[str, TurnedCopies] = {}
     for n in progress.track(chosen, "searching copies"):
         found = [search_copies(exemplar, members[n]) for exemplar in exemplars]
-        copied[names[n]] = max(share or 0.0 for share, _ in found)
-        turned |= {names[n]: copies for _, copies in found if copies is not None}
+        found = [each for each in found if each[0] is not None]
+        copied[names[n]] = max((share or 0.0 for share, _ in found), default=0.0)
+        turned |= [(names[n], each) for _, each in found if each]
     worst = max(copied, key=lambda name: copied[name])
     if copied[worst] > limit:
         faults.append(
