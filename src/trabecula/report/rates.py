@@ -28,7 +28,9 @@ class Rates(NamedTuple):
     fakes_failed: int
 
 
-MEASURED = Rates("default", "trabecula bench zoo", 10, (48, 128), (48, 64), 0, 0, 0, 0, 0, 0)
+MEASURED = Rates(
+    "default", "trabecula bench zoo", 10, (48, 128), (48, 64), 61, 17, 21, 251, 17, 207
+)
 """See docs/guide/figures.md for the table by material and kind."""
 
 
@@ -37,7 +39,7 @@ def rates_note(exemplar: Image, image: Any, level: str) -> Iterator[str]:
     labels of these sizes.
     """
     found = MEASURED
-    if not found.real or level != found.level or exemplar.kind != "labels" or exemplar.ndim != 3:
+    if level != found.level or exemplar.kind != "labels" or exemplar.ndim != 3:
         return
     measured = zip((exemplar, image), (found.exemplar, found.image), strict=True)
     if not all(low <= side <= high for one, (low, high) in measured for side in one.shape):
