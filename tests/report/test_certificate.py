@@ -67,6 +67,8 @@ def test_the_exemplar_itself_has_no_distance_and_is_named_a_copy(exemplar):
     )
     assert certificate.failed == ("coherence",) and certificate.metrics["coherence"].value == 1.0
     assert any("COPIED" in text for text in sentences(certificate))
+    assert "Error rates (trabecula bench zoo" in certificate.to_table()
+    assert "Error rates (trabecula bench zoo" in certificate.to_html()
     quick = verify(exemplar, exemplar, level="quick")
     assert quick.failed == () and quick.verdict == "not decided", (
         "a copy passes every figure of that level"
