@@ -20,6 +20,7 @@ from common import table
 from descriptors import scans
 from fakes import CHANGES, COPIES, MOSAICS, cut
 from trabecula.report.certificate import Judge
+from trabecula.report.verdict import Certificate
 
 LARGEST = 128
 SIDE, SMALL_SIDE = 64, 48
@@ -37,8 +38,9 @@ Counts = dict[str, Counter[str]]
 
 
 def zoo() -> None:
-    """Verdicts at level "default" of real held-out parts and of fakes, by material: pass / fail /
-    cannot tell, and the figure that fails first.
+    """Verdicts of the certificate on real held-out parts and on fakes, by material.
+
+    Pass / fail / cannot tell at level "default", and the figures that fail first.
     """
     chosen = os.environ.get("TRABECULA_BENCH_ONLY", "").split(";")
     found = {
@@ -85,7 +87,7 @@ def judge(name: str, scan: tb.Image) -> Counts:
     return counts
 
 
-def note(counter: Counter[str], certificate: tb.Certificate) -> None:
+def note(counter: Counter[str], certificate: Certificate) -> None:
     """Count a verdict, and the first figure that failed."""
     counter[certificate.verdict.replace("not decided", "cannot tell")] += 1
     if certificate.failed:
