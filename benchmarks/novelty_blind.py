@@ -13,9 +13,9 @@ from itertools import product
 import numpy as np
 
 import trabecula as tb
-from certificate_fakes import cut
 from common import table
 from descriptors import scans
+from fakes import cut
 
 SIDE = 64
 GRID = 34
@@ -32,7 +32,7 @@ def novelty_blind() -> None:
     row = table("exemplar", "image", "Hamming, least", "median", "coherence(4)", "highest")
     for name in SCANS:
         scan = scans()[name]
-        exemplar = cut(scan, [slice(0, DEPTH), slice(0, 200), slice(0, 200)])
+        exemplar = cut(scan, (0, 0, 0), (DEPTH, 200, 200))
         for what, images in cases(scan, exemplar).items():
             apart = [least_hamming(exemplar, image) for image in images]
             along = [tb.measure.coherence(exemplar, image, k=4)[4] for image in images]
@@ -54,7 +54,7 @@ def cases(scan: tb.Image, exemplar: tb.Image) -> dict[str, list[tb.Image]]:
     off = [(z + GRID // 2, y + GRID // 2, x + GRID // 2) for z, y, x in on]
     found = {"copy on the grid": on, "copy 17 voxels off it": off, "independent": behind}
     return {
-        what: [cut(scan, [slice(a, a + SIDE) for a in corner]) for corner in corners]
+        what: [cut(scan, corner, (SIDE,) * 3) for corner in corners]
         for what, corners in found.items()
     }
 

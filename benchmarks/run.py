@@ -21,7 +21,6 @@ import big_whole
 import bubbles
 import bubbles_figures
 import bubbles_fit
-import certificate_fakes
 import ensemble_rates
 import ensembles
 import evenness
@@ -40,6 +39,7 @@ import texture_speed
 import trabecula as tb
 import trends
 import view
+import zoo
 from common import tell, timed, unit
 from descriptors import certificate, descriptors, large
 from trabecula.cli.terminal import fail, show_rows
@@ -115,7 +115,7 @@ CASES: dict[str, Callable[[], None]] = {
     "large": large,
     "descriptors": descriptors,
     "certificate": certificate,
-    "certificate_fakes": certificate_fakes.certificate_fakes,
+    "zoo": zoo.zoo,
     "ensembles": ensembles.ensembles,
     "trends": trends.trends,
     "novelty_blind": novelty_blind.novelty_blind,

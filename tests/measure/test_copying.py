@@ -9,11 +9,18 @@ from hypothesis import strategies as st
 
 import trabecula as tb
 from trabecula.errors import InputError
-from trabecula.measure.copying import coherence, coherent_patches, diversity, sources
+from trabecula.measure.copying import (
+    coherence,
+    coherent_patches,
+    diversity,
+    sources,
+    turned_copies,
+)
 from trabecula.measure.copying.coherence import _sample_sites
 from trabecula.measure.copying.index import Geometry, build_tree, neighbourhoods_of, search
 from trabecula.measure.copying.kernels import FAR
 from trabecula.measure.copying.pair import _coarse, prepare_pair
+from trabecula.measure.copying.turned import axis_names, list_symmetries, name_symmetry
 
 
 def blobs(shape, *, seed, phases=2, width=3):
@@ -250,3 +257,60 @@ def test_what_cannot_be_compared_is_refused():
     ]:
         with pytest.raises(InputError, match=words):
             wrong()
+
+
+TURNS = {
+    "mirrored along z": lambda values: values[::-1],
+    "turned by 90 degrees about y": lambda values: np.rot90(values, 1, (0, 2)),
+    "mirrored along x and turned by 90 degrees about x": lambda values: np.rot90(
+        values[:, :, ::-1], 1, (0, 1)
+    ),
+}
+
+
+@pytest.mark.parametrize("text", TURNS)
+def test_a_copy_is_found_however_it_was_turned(text):
+    copy = TURNS[text](SCAN)[4:34, 6:36, 3:33]
+    found = turned_copies(SCAN, copy, samples=60)
+    assert found.share == 1 and found.text == text
+
+
+def test_half_a_turned_copy_is_found_and_independent_material_is_not():
+    scan, other = (blobs((36,) * 3, seed=seed, width=6) for seed in (11, 12))
+    half = other.copy()
+    half[:18] = scan.transpose(0, 2, 1)[:18]
+    assert turned_copies(scan, other, samples=80).share <= 0.05
+    found = turned_copies(scan, half, samples=80)
+    assert 0.2 < found.share < 0.8 and found.axes == ("z", "x", "y")
+    assert found.text == "mirrored across the diagonal of y and x"
+    assert turned_copies(scan, scan, samples=80).share == 0, "a plain copy is not turned"
+
+
+def test_a_material_that_is_its_own_mirror_image_holds_no_turned_copies():
+    scan = blobs((40, 40, 40), seed=13)
+    scan[20:] = scan[19::-1]
+    assert turned_copies(scan, scan[3:37], samples=60).share == 0
+
+
+def test_turned_copies_of_flat_images():
+    scan = blobs((120, 120), seed=7)
+    found = turned_copies(scan, np.rot90(scan)[30:100, 20:90], samples=200)
+    assert found.share == 1 and found.text == "turned by 90 degrees"
+    assert found.axes in {("x", "-y"), ("-x", "y")}
+    assert turned_copies(scan, blobs((70, 70), seed=8), samples=200).share < 0.1
+
+
+@pytest.mark.parametrize("ndim", [2, 3])
+def test_every_symmetry_has_a_name_and_says_where_axes_run(ndim):
+    values = np.random.default_rng(ndim).random((3, 4, 5)[:ndim])
+    names = "zyx"[3 - ndim :]
+    found = list_symmetries(ndim)
+    assert len({axis_names(*each) for each in found}) == len(found) == (8 if ndim == 2 else 48)
+    for order, back in found[1:]:
+        axes = axis_names(order, back)
+        # the exemplar is the image, its axes put in order and reversed; the names take it back
+        exemplar = np.flip(values.transpose(order), [n for n, b in enumerate(back) if b])
+        again = exemplar.transpose([names.index(axis[-1]) for axis in axes])
+        again = np.flip(again, [n for n, axis in enumerate(axes) if axis[0] == "-"])
+        assert np.array_equal(again, values)
+        assert name_symmetry(axes).startswith(("mirrored ", "turned by "))

@@ -67,6 +67,8 @@ def test_the_exemplar_itself_has_no_distance_and_is_named_a_copy(exemplar):
     )
     assert certificate.failed == ("coherence",) and certificate.metrics["coherence"].value == 1.0
     assert any("COPIED" in text for text in sentences(certificate))
+    assert "Error rates (trabecula bench zoo" in certificate.to_table()
+    assert "Error rates (trabecula bench zoo" in certificate.to_html()
     quick = verify(exemplar, exemplar, level="quick")
     assert quick.failed == () and quick.verdict == "not decided", (
         "a copy passes every figure of that level"
@@ -226,6 +228,19 @@ def test_an_axis_that_the_exemplar_leaves_open_is_no_fault():
     assert metrics["percolates"].value == {"y": False, "x": True} and metrics["percolates"].passed
     turned = verify(stripes, stripes.T.copy(), level="quick", r_max=8).metrics
     assert turned["percolates"].passed is False
+
+
+def test_a_small_image_need_not_percolate_where_a_part_of_the_exemplar_does_not():
+    rng = np.random.default_rng(1)
+    scan = np.zeros((96, 96), np.uint8)
+    scan[40:44] = 1  # the only way from side to side
+    scan[rng.random(scan.shape) < 0.05] = 1
+    other = (rng.random(scan.shape) < 0.1).astype(np.uint8)
+    for image, passed in ((other[:64, :64], True), (other, False)):
+        metrics = verify(scan, image, level="quick", r_max=8).metrics
+        assert metrics["percolates"].exemplar == {"y": False, "x": True}
+        assert metrics["percolates"].value == {"y": False, "x": False}
+        assert metrics["percolates"].passed is passed
 
 
 def test_parts_are_searched_in_other_parts():

@@ -194,3 +194,29 @@ def test_the_hellinger_distance_is_reported_and_literal():
     edges = np.quantile(own, np.linspace(0, 1, 11)[1:-1])
     p, q = (np.bincount(np.searchsorted(edges, v), minlength=10) / v.size for v in (own, theirs))
     assert apart[1] == pytest.approx(np.sqrt(1 - np.sqrt(p * q).sum()), abs=0.03)
+
+
+def test_the_band_of_a_spread_is_never_narrower_than_real_materials_are_patchy():
+    """White noise has so many independent windows that F alone would leave a few percents."""
+    rng = np.random.default_rng(4)
+    image = tb.Image((rng.random((64, 64, 64)) < 0.5).astype(np.uint8), "labels")
+    windows = choose_windows(image, [image])
+    found = measure_evenness(cells_of(image, cell=windows.cell), windows, phases_of(image))[""]
+    low, high = evenness_bands(found, found)["fraction_spread_small"]
+    assert high / found.fraction[0].deviation > 1.2 and low / found.fraction[0].deviation < 0.85
+
+
+def test_octants_that_differ_widen_the_band_of_a_spread():
+    rng = np.random.default_rng(5)
+    coarse = rng.random((16, 16, 16)).repeat(4, 0).repeat(4, 1).repeat(4, 2)
+    mixed = rng.random((64, 64, 64))
+    mixed[:32, :32, :32] = coarse[:32, :32, :32]
+    widths = []
+    for values in (rng.random((64, 64, 64)), mixed):
+        image = tb.Image((values < 0.5).astype(np.uint8), "labels")
+        windows = choose_windows(image, [image])
+        found = measure_evenness(cells_of(image, cell=windows.cell), windows, phases_of(image))[""]
+        assert len(found.fraction[0].blocks) == 8
+        low, high = evenness_bands(found, found)["fraction_spread_small"]
+        widths.append(high / low)
+    assert widths[1] > 1.5 * widths[0]

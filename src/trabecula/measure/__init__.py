@@ -17,7 +17,14 @@ from trabecula.measure.components import (
 )
 from trabecula.measure.confidence import Interval, confidence
 from trabecula.measure.contacts import contact, contacts
-from trabecula.measure.copying import coherence, coherent_patches, diversity, sources
+from trabecula.measure.copying import (
+    TurnedCopies,
+    coherence,
+    coherent_patches,
+    diversity,
+    sources,
+    turned_copies,
+)
 from trabecula.measure.correlation import (
     axis_preference,
     correlation_length,
@@ -67,6 +74,7 @@ __all__ = [
     "SpatialCovariance",
     "Stiffness",
     "TripleLine",
+    "TurnedCopies",
     "anisotropy",
     "autocorrelation",
     "axis_preference",
@@ -129,6 +137,7 @@ __all__ = [
     "triple_phase_active_share",
     "triple_phase_line_density",
     "triple_phase_lines",
+    "turned_copies",
     "two_point",
     "two_point_cluster",
     "variance_of_means",

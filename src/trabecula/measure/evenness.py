@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,9 @@ class Spread:
     """Fourth moment over the squared variance; 3 where window means are normally distributed."""
     quantiles: tuple[float, ...] = ()
     """At 0, 1 / 40, ..., 1 of the windows; empty of the direction."""
+    blocks: tuple[float, ...] = ()
+    """Variance over the windows of each half of the image along every axis (octants of a volume);
+    empty where a half holds fewer than two windows beside each other."""
 
 
 @dataclass(frozen=True)
@@ -210,10 +214,12 @@ def evenness_of(
         length for length, count in zip(cells.extents, cells.shape, strict=True) if count > 1
     )
     return Evenness(
-        tuple(_spread(edge, window_means(share, counts)) for edge, counts in sized),
-        tuple(_spread(edge, window_means(area, counts) / mean_area) for edge, counts in sized),
+        tuple(_spread(edge, window_means(share, counts), counts) for edge, counts in sized),
         tuple(
-            _direction(edge, [window_means(faces, counts) for faces in cells.faces])
+            _spread(edge, window_means(area, counts) / mean_area, counts) for edge, counts in sized
+        ),
+        tuple(
+            _direction(edge, [window_means(faces, counts) for faces in cells.faces], counts)
             for edge, counts in sized
         ),
         trends(share),
@@ -267,16 +273,33 @@ def _slope(place: np.ndarray, values: np.ndarray) -> float:
     return float((away * values).sum() / max((away**2).sum(), 1e-300))
 
 
-def _spread(edge: float, means: np.ndarray) -> Spread:
+def _spread(edge: float, means: np.ndarray, counts: Sequence[int]) -> Spread:
     mean, variance = float(means.mean()), float(means.var())
     fourth = float(((means - mean) ** 4).mean())
     kurtosis = fourth / variance**2 if variance > 0 else 3.0
     quantiles = np.quantile(means, np.linspace(0, 1, QUANTILES))
     ends = float(quantiles[0]), float(quantiles[-1])
-    return Spread(edge, mean, math.sqrt(variance), *ends, kurtosis, tuple(quantiles.tolist()))
+    blocks = tuple(float(block.var()) for block in _octants(means, counts))
+    return Spread(
+        edge, mean, math.sqrt(variance), *ends, kurtosis, tuple(quantiles.tolist()), blocks
+    )
 
 
-def _direction(edge: float, faces: Sequence[np.ndarray]) -> Spread:
+def _octants(means: np.ndarray, counts: Sequence[int]) -> list[np.ndarray]:
+    """Return the means of those windows that lie in one half of the image along every axis."""
+    halves = []
+    for windows, count in zip(means.shape, counts, strict=True):
+        if windows == 1:  # the one plane of a picture
+            halves.append([slice(None)])
+            continue
+        inside = (windows + count - 1) // 2 - count + 1
+        if inside <= count:
+            return []
+        halves.append([slice(0, inside), slice(windows - inside, windows)])
+    return [means[box] for box in product(*halves)]
+
+
+def _direction(edge: float, faces: Sequence[np.ndarray], counts: Sequence[int]) -> Spread:
     total = np.sum(faces, axis=0)
     held = total > 0  # a window without any interface has no direction
     if not held.any():
@@ -284,6 +307,10 @@ def _direction(edge: float, faces: Sequence[np.ndarray]) -> Spread:
     shares = [each[held] / total[held] for each in faces]
     variance = sum(float(each.var()) for each in shares)
     known = [each for each in shares if each.any()]
+    blocks: list[float] = []
+    if held.all():
+        parts = [_octants(each / total, counts) for each in faces]
+        blocks = [sum(float(each.var()) for each in block) for block in zip(*parts, strict=True)]
     return Spread(
         edge,
         1 / max(1, len(known)),
@@ -291,6 +318,7 @@ def _direction(edge: float, faces: Sequence[np.ndarray]) -> Spread:
         min(float(each.min()) for each in known),
         max(float(each.max()) for each in known),
         3.0,
+        blocks=tuple(blocks),
     )
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from trabecula.core.image import Image
 from trabecula.measure.components import components, floating, floating_voxels, largest_fraction
 from trabecula.measure.contacts import contact
-from trabecula.measure.copying import coherence
+from trabecula.measure.copying import coherence, turned_copies
 from trabecula.measure.correlation import (
     axis_preference,
     cross_correlation,
@@ -510,6 +510,13 @@ _TABLE = (
         measure=coherence, source=JUDGED, level="default", rule=AT_MOST, share=True, key=True,
         meaning="Share of voxels whose source in the exemplar moves along over 4 voxels: near 1 in "
         "a copy.",
+    ),
+    Descriptor(
+        name="turned_copies", title="Copies mirrored or turned (1: all)", group="copying",
+        measure=turned_copies, source=JUDGED, level="default", rule=AT_MOST, share=True,
+        meaning="Share of voxels whose neighbourhood recurs in the exemplar mirrored or turned, in "
+        "any of the other 47 symmetries of the cube (7 of the square); of those whose own source "
+        "differs most.",
     ),
 )  # fmt: skip
 

@@ -37,6 +37,7 @@ from trabecula.report.descriptors import (
 from trabecula.report.evenness import Windows, choose_windows, local_fractions
 from trabecula.report.metrics import Metric
 from trabecula.report.notes import exemplar_notes, image_notes
+from trabecula.report.rates import rates_note
 from trabecula.report.reference import Reference
 from trabecula.report.slicewise import judge_volumes
 from trabecula.report.verdict import Certificate, about_image
@@ -133,9 +134,11 @@ def verify(
     A figure passes inside its band. The bands of `components`, `floating` and `floating_voxels` are
     scaled to the image's volume; these, `largest_fraction` and `percolating_fraction` fail on one
     side only, since fewer loose parts than the exemplar has are no fault. `percolates` fails along
-    an axis where the exemplar percolates and the image does not. `coherence` is the share of voxels
+    an axis where the exemplar percolates and the image does not; of an image smaller than the
+    exemplar, where all parts of the exemplar percolate as well. `coherence` is the share of voxels
     whose source in the exemplar moves along over 4 voxels; its band is that of parts of the
-    exemplar searched in other parts.
+    exemplar searched in other parts. `turned_copies` is the share of voxels whose neighbourhood
+    recurs in the exemplar mirrored or turned (see `measure.turned_copies`).
 
     Evenness: over all windows of three sizes (see `measure.evenness`), the standard deviation and
     the extremes of the local fraction (`fraction_spread_large`, `fraction_lowest_large`, ...), of
@@ -197,21 +200,51 @@ def verify(
         return found[0] if len(found) == 1 else found
     for image, name in zip(others, names, strict=True):
         check_corresponds(exemplar, image, name)
-    reach = min(r_max, *(min(image.shape) // 2 for image in (exemplar, *others)))
-    fits = min((min(part.shape) - 1 for part in parts(exemplar)), default=reach)
-    reach = max(1, min(reach, fits))
-    windows = choose_windows(exemplar, others)
-    descriptors = _choose_descriptors(exemplar, reach, level, windows, box, memory)
-    thorough = level != "quick" and exemplar.kind == "labels"
-    reference = Reference(exemplar, descriptors, copying=thorough)
-    baseline = _baseline(reference, reach) if thorough else None
+    judge = Judge(exemplar, others, r_max=r_max, level=level, box=box, memory=memory)
     found = [
-        _certificate(reference, image, name, level, baseline)
+        judge.certificate(image, name)
         for image, name in progress.track(list(zip(others, names, strict=True)), "comparing")
     ]
-    found = _add_diversity(found, others) if thorough else found
+    found = _add_diversity(found, others) if judge.thorough else found
     found = [replace(one, notes=(*one.notes, slab_note)) for one in found] if slab_note else found
     return found[0] if len(found) == 1 else found
+
+
+class Judge:
+    """An exemplar that was measured, and its baseline; `verify` judges every image by one.
+
+    Parameters
+    ----------
+    exemplar : Image
+    images : sequence of Image or Slabs
+        All that are to be judged: the smallest limits curves and windows.
+    r_max, level, box, memory
+        As of `verify`.
+    """
+
+    def __init__(
+        self,
+        exemplar: Image,
+        images: Sequence[Image],
+        *,
+        r_max: int = 50,
+        level: str = "default",
+        box: int | None = None,
+        memory: int | None = None,
+    ) -> None:
+        self.level = level
+        self.thorough = level != "quick" and exemplar.kind == "labels"
+        reach = min(r_max, *(min(image.shape) // 2 for image in (exemplar, *images)))
+        fits = min((min(part.shape) - 1 for part in parts(exemplar)), default=reach)
+        reach = max(1, min(reach, fits))
+        windows = choose_windows(exemplar, images)
+        descriptors = _choose_descriptors(exemplar, reach, level, windows, box, memory)
+        self.reference = Reference(exemplar, descriptors, copying=self.thorough)
+        self.baseline = _baseline(self.reference, reach) if self.thorough else None
+
+    def certificate(self, image: Image, name: str, *, copying: bool | None = None) -> Certificate:
+        """Judge an image; `copying` False leaves out the search for copies, most of the time."""
+        return _certificate(self.reference, image, name, self.level, self.baseline, copying)
 
 
 def _as_image(image: Image | Slabs | ArrayLike, *, name: str) -> Image:
@@ -275,9 +308,10 @@ def _certificate(
     name: str,
     level: str,
     baseline: tuple[dict[str, Metric], Measurements] | None,
+    copying: bool | None,
 ) -> Certificate:
     measured = reference.measure(image)
-    metrics = reference.judge(image, measured)
+    metrics = reference.judge(image, measured, copying=copying)
     curves = {
         "exemplar": reference.own.curves,
         "image": measured.curves,
@@ -292,7 +326,11 @@ def _certificate(
         about["physics"] = {"exemplar": reference.own.details, "image": measured.details}
     if baseline:
         curves["baseline"] = baseline[1].curves
-    notes = (*exemplar_notes(reference), *image_notes(reference.exemplar, image, metrics, measured))
+    notes = (
+        *exemplar_notes(reference),
+        *image_notes(reference.exemplar, image, metrics, measured),
+        *rates_note(reference.exemplar, image, level),
+    )
     noise = baseline[0] if baseline else None
     reasons = (*exemplar_reasons(reference), *level_reasons(reference, level, noise, metrics))
     maps = {

@@ -14,7 +14,7 @@ from trabecula.core import progress
 from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
-from trabecula.measure.copying import differences, diversity
+from trabecula.measure.copying import TurnedCopies, differences, diversity
 from trabecula.measure.fractions import porosity
 from trabecula.measure.registry import LEVELS
 from trabecula.report.band import parts
@@ -30,8 +30,9 @@ from trabecula.report.reference import (
     LAG,
     SAMPLES,
     coherence_limit,
-    independent_coherence,
-    try_coherence,
+    search_copies,
+    search_parts,
+    turned_limit,
 )
 from trabecula.report.verdict import about_image
 
@@ -43,12 +44,6 @@ EXAMINED = 4
 
 REPEATED = 0.5
 """Two members that differ in a smaller share of what independent ones would are called repeated."""
-
-
-CHANCE = 0.1
-"""Share of copied voxels that is no fault, since the largest of several members and pairs counts:
-copies have 0.5 to 1.
-"""
 
 
 def verify_ensemble(
@@ -228,23 +223,31 @@ def _find_copies(
             f"independent ones would, and {repeated} of {len(members)} have such a twin"
         )
     chosen = choose_evenly(len(members), EXAMINED)
-    real = [] if level == "quick" else [*_real_coherence(exemplars)]
+    real = [] if level == "quick" else [*_search_real(exemplars)]
     if not real:
         return Copying(closest, pair, faults=tuple(faults))
-    limit = max(CHANCE, coherence_limit(real))
+    limit = coherence_limit([share for share, _ in real])
     among = _coherence_among([members[n] for n in chosen])
-    copied = {
-        names[n]: max(
-            (try_coherence(exemplar, members[n]) or 0.0 for exemplar in exemplars), default=0.0
-        )
-        for n in progress.track(chosen, "searching copies")
-    }
+    copied: dict[str, float] = {}
+    turned: dict[str, TurnedCopies] = {}
+    for n in progress.track(chosen, "searching copies"):
+        found = [search_copies(exemplar, members[n]) for exemplar in exemplars]
+        found = [each for each in found if each[0] is not None]
+        copied[names[n]] = max((share or 0.0 for share, _ in found), default=0.0)
+        turned |= [(names[n], each) for _, each in found if each]
     worst = max(copied, key=lambda name: copied[name])
     if copied[worst] > limit:
         faults.append(
             f"Copied from the exemplar: of {worst}, {copied[worst]:.0%} of the voxels continue a "
             f"patch of it (real material: up to {limit:.0%})"
         )
+    most = turned_limit([copies.share for _, copies in real])
+    for name, copies in turned.items():
+        if copies.share > most:
+            faults.append(
+                f"Copied from the exemplar: {name} is partly or wholly {copies.text} "
+                f"({copies.share:.0%} of its voxels; real material: up to {most:.0%})"
+            )
     if among is not None and among > limit:
         faults.append(
             f"Members share patches: up to {among:.0%} of the voxels of one continue a patch of "
@@ -259,11 +262,14 @@ def choose_evenly(count: int, most: int) -> list[int]:
     return sorted({n * (count - 1) // (most - 1) for n in range(most)})
 
 
-def _real_coherence(exemplars: Sequence[Image]) -> Iterator[float]:
-    """Yield the coherence of parts of exemplars with other parts, where they are large enough."""
+def _search_real(exemplars: Sequence[Image]) -> Iterator[tuple[float, TurnedCopies]]:
+    """Yield what parts of exemplars have in common with other parts, where they are large
+    enough.
+    """
     for exemplar in exemplars:
-        found = independent_coherence(list(parts(exemplar, share=2)))
-        yield from (share for share in found if share is not None)
+        for share, turned in search_parts(list(parts(exemplar, share=2))):
+            if share is not None and turned is not None:
+                yield share, turned
 
 
 def _coherence_among(members: Sequence[Image]) -> float | None:

@@ -32,7 +32,7 @@ from trabecula.measure.evenness import (
 )
 from trabecula.measure.streaming.cells import CellMeans
 from trabecula.numerics.quantiles import student, variance_ratio
-from trabecula.report.band import CONFIDENCE
+from trabecula.report.band import CONFIDENCE, LEAST_COUNT
 
 SIZES = ("small", "medium", "large")
 """Of windows, as the names of figures end."""
@@ -45,6 +45,13 @@ CLASSES = 10
 
 LEAST_FREEDOM = 4.0
 """Fewer independent windows in the exemplar know no spread."""
+
+PATCHY = 0.02
+"""Squared relative error of the variance over windows that no sample is free of, however many
+windows it holds: real materials are patchy over distances longer than a scan's corner. Parts of
+64^3 of ten scans had standard deviations that scattered by 5 to 16 % where independent windows
+would have made it 3 to 8; without it 55 of 86 real parts left a band of evenness, with it 9.
+"""
 
 SLOWEST = 0.3
 """Least exponent that is believed: two window sizes of one scan do not know it well."""
@@ -179,11 +186,12 @@ def evenness_bands(
     bands: dict[str, tuple[float, float]] = {}
     names = SIZES[-len(exemplar.fraction) :]
     for what in whats:
+        patchy = 0.0
         for size, own in zip(names, getattr(exemplar, what), strict=True):
-            freedom = _freedom(exemplar, own, own.kurtosis)
-            if freedom < LEAST_FREEDOM:
+            patchy = _patchiness(exemplar, own, patchy)
+            if _freedom(exemplar, own, own.kurtosis) < LEAST_FREEDOM:
                 continue
-            low, high = _deviation_band(exemplar, image, own, freedom)
+            low, high = _deviation_band(exemplar, image, own, patchy)
             bands[f"{what}_spread_{size}{suffix}"] = low, high
             if what != "direction":
                 far = high * _farthest(image, own)
@@ -226,21 +234,47 @@ def scaling_exponent(exemplar: Evenness) -> float:
 
 
 def _deviation_band(
-    exemplar: Evenness, image: Evenness, own: Spread, freedom: float
+    exemplar: Evenness, image: Evenness, own: Spread, patchy: float
 ) -> tuple[float, float]:
     """Return the band of the standard deviation over windows; both samples are too even by what
     their own means take away.
+
+    patchy: squared relative error of the variance over an eighth of the exemplar (a quarter of a
+    picture) beyond that of independent windows. It falls with the volume as the variance of the
+    fraction does.
     """
     expected = own.deviation * math.sqrt(
         _variance_share(image, own.edge) / _variance_share(exemplar, own.edge)
     )
-    upper = max(1.0, _freedom(image, own, own.kurtosis))
+    block = math.prod(exemplar.extents) / 2 ** len(exemplar.extents)
+    exponent = scaling_exponent(exemplar)
+
+    def freedom_of(sample: Evenness) -> float:
+        own_error = 2 / max(0.1, _freedom(sample, own, own.kurtosis))
+        share = (block / (math.prod(sample.extents) * sample.images)) ** exponent
+        return 2 / (own_error + patchy * share + PATCHY)
+
+    upper, freedom = max(1.0, freedom_of(image)), freedom_of(exemplar)
     ratios = [
         variance_ratio(round(upper, 1), round(freedom, 1), (1 + sign * CONFIDENCE) / 2)
         for sign in (-1, 1)
     ]
     low, high = (expected * math.sqrt(ratio) for ratio in ratios)
     return min(low, own.deviation), max(high, own.deviation)
+
+
+def _patchiness(exemplar: Evenness, own: Spread, smaller: float) -> float:
+    """Return by how much the variances over windows of the exemplar's octants differ beyond what
+    independent windows make: their squared relative deviation less that of the F distribution.
+
+    smaller: that of smaller windows, where octants hold too few of these.
+    """
+    variances = np.asarray(own.blocks)
+    if len(variances) < LEAST_COUNT or not variances.any():
+        return smaller
+    half = replace(exemplar, extents=tuple(length / 2 for length in exemplar.extents))
+    expected = 2 / max(1.0, _freedom(half, own, own.kurtosis))
+    return max(0.0, float(variances.var(ddof=1) / variances.mean() ** 2) - expected)
 
 
 def _trend_limits(

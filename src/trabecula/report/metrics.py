@@ -30,14 +30,17 @@ class Metric:
     exemplar: Any = None
     """The exemplar's own value (0 for a distance to it; a count is scaled to the image's volume).
     """
+    symmetry: str | None = None
+    """Of `turned_copies`: how the exemplar was mirrored or turned, in words."""
 
     def to_json(self) -> dict[str, Any]:
         """Return value, band and verdict by the names that scripts rely on."""
-        return {
+        found = {
             "value": self.value,
             "real_band": list(self.real_band) if self.real_band else None,
             "pass": self.passed,
         }
+        return found | ({"symmetry": self.symmetry} if self.symmetry else {})
 
 
 def group_verdicts(metrics: Mapping[str, Metric]) -> dict[str, bool | None]:

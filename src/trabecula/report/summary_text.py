@@ -54,7 +54,9 @@ def sentences(certificate: Certificate) -> list[str]:
             elif "uneven" in faults:
                 lead += ": UNEVEN, its density differs from place to place unlike the exemplar's"
             elif group == "copying":
-                lead += ": COPIED from the exemplar"
+                turned = certificate.metrics[wrong[-1]].symmetry
+                partly = "partly " if turned and len(wrong) > 1 else ""
+                lead += ": COPIED from the exemplar" + (f", {partly}{turned}" if turned else "")
             more = f"; and {len(wrong) - MOST} more" if len(wrong) > MOST else ""
             figures = "; ".join(_failure(name, certificate.metrics[name]) for name in wrong[:MOST])
             found.append(f"{lead}: {figures}{more}.")

@@ -12,14 +12,17 @@ voxels, whatever the spacing.
 from trabecula.measure.copying.coherence import coherence
 from trabecula.measure.copying.diversity import Diversity, differences, diversity
 from trabecula.measure.copying.sources import CoherentPatches, Sources, coherent_patches, sources
+from trabecula.measure.copying.turned import TurnedCopies, turned_copies
 
 __all__ = [
     "CoherentPatches",
     "Diversity",
     "Sources",
+    "TurnedCopies",
     "coherence",
     "coherent_patches",
     "differences",
     "diversity",
     "sources",
+    "turned_copies",
 ]

@@ -5,6 +5,7 @@ sample of voxels.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -79,21 +80,59 @@ def coherence(
     >>> coherence(scan, scan[4:20, 4:20, 4:20], k=(1, 4), size=5, samples=50)
     {1: 1.0, 4: 1.0}
     """
-    pair = prepare_pair(exemplar, image, size=size, half=half)
     steps = [
         int(as_number(step, name="k", low=1, high=1 << 20, whole=True))
         for step in np.ravel(k).tolist()
     ]
     samples = int(as_number(samples, name="samples", low=1, high=1 << 30, whole=True))
+    return sample_sources(
+        exemplar,
+        image,
+        steps=steps,
+        size=size,
+        mirrors=mirrors,
+        half=half,
+        samples=samples,
+        seed=as_seed(seed),
+    ).shares
+
+
+@dataclass(frozen=True)
+class SourceSample:
+    """A sample of voxels and what was found of their sources."""
+
+    pair: Pair
+    tree: Tree
+    sites: np.ndarray  # (S, 3) int64, corners in the image
+    differing: np.ndarray  # (S,) int32: voxels that differ between site and source
+    shares: dict[int, float]  # coherence by the length of a move
+
+
+def sample_sources(
+    exemplar: Image | ArrayLike,
+    image: Image | ArrayLike,
+    *,
+    steps: Sequence[int],
+    size: int | None = None,
+    mirrors: bool = False,
+    half: bool = False,
+    samples: int,
+    seed: int,
+) -> SourceSample:
+    """Search the sources of a sample of voxels; the parameters are those of `coherence`, checked
+    but for the images.
+    """
+    pair = prepare_pair(exemplar, image, size=size, half=half)
     tree, cubes = exemplar_tree(pair), neighbourhoods_of(pair.image, pair.geometry)
-    sites, moves, fits = _sample_sites(cubes, pair, steps, samples, as_seed(seed))
+    sites, moves, fits = _sample_sites(cubes, pair, steps, samples, seed)
     for step, pairs in zip(steps, fits.T, strict=True):
         if not pairs.any():
             raise InputError(
                 f"no two voxels near an interface are k = {step} apart in the image: lower k"
             )
-    stays = _moves_along(tree, pair, sites, moves, fits, mirrors)
-    return {step: float(np.mean(stays[fits[:, i], i])) for i, step in enumerate(steps)}
+    stays, differing = _moves_along(tree, pair, sites, moves, fits, mirrors)
+    shares = {step: float(np.mean(stays[fits[:, i], i])) for i, step in enumerate(steps)}
+    return SourceSample(pair, tree, sites, differing, shares)
 
 
 def _sample_sites(
@@ -130,9 +169,9 @@ def _sample_sites(
 
 def _moves_along(
     tree: Tree, pair: Pair, sites: np.ndarray, moves: np.ndarray, fits: np.ndarray, mirrors: bool
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     """Return whether a nearest candidate of the site is, moved, a nearest candidate of the site
-    moved, (S, M) bool.
+    moved, (S, M) bool; and the voxels that differ from it, (S,) int32.
     """
     best = np.full(len(sites), FAR, np.int32)
     along = np.full(fits.shape, FAR, np.int32)
@@ -151,7 +190,7 @@ def _moves_along(
             tree, cubes, pair.geometry, places, none, along[rows, columns], first=True
         )
         stays[rows, columns] = nearer < 0
-    return stays
+    return stays, best
 
 
 def _flip(

@@ -74,6 +74,12 @@ class Tree:
 
 def neighbourhoods_of(values: np.ndarray, geometry: Geometry) -> Neighbourhoods:
     """Return the neighbourhoods of (Z, Y, X) labels."""
+    planes, blocks = pack_neighbourhoods(values, geometry)
+    return Neighbourhoods(planes, blocks, _near_interface(values, geometry))
+
+
+def pack_neighbourhoods(values: np.ndarray, geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bits of the neighbourhoods by plane, and their counts by block."""
     _, height, breadth = geometry.width
     rows = 64 // breadth
     words = -(-height // rows) * geometry.bits
@@ -90,7 +96,7 @@ def neighbourhoods_of(values: np.ndarray, geometry: Geometry) -> Neighbourhoods:
     )
     counted = (values == geometry.phase).astype(np.uint8)
     blocks = over_windows(np.add, counted, geometry.block, geometry.step)
-    return Neighbourhoods(planes, np.ascontiguousarray(blocks), _near_interface(values, geometry))
+    return planes, np.ascontiguousarray(blocks)
 
 
 def over_windows(

@@ -166,11 +166,11 @@ def _propagate(
     """
     shape = np.asarray(tree.cubes.counts.shape)
     source = np.empty(cubes.counts.shape, np.int32)
-    distance = np.empty(source.shape, np.int32)
+    distance = np.full(source.shape, FAR, np.int32)
     depth, offsets = geometry.width[0], geometry.offsets
 
     def begin(start: int, stop: int) -> None:
-        _start_sources(
+        start_sources(
             cubes.planes, tree.cubes.planes, tree.features, tree.corners, shape, tree.nodes,
             tree.low, tree.high, cubes.blocks, offsets, cubes.counts, depth, geometry.step,
             geometry.bits, source, distance, start, stop,
@@ -217,25 +217,29 @@ def _fits(z, y, x, shape):
 
 
 @kernel
-def _start_sources(
+def start_sources(
     image, exemplar, features, corners, shape, nodes, low, high, blocks, offsets, counts, depth,
     step, bits, source, distance, start, stop,
 ):  # fmt: skip
     """Find the nearest candidate of one leaf of the tree, for sites that count in planes
     start..stop: exact for a true copy.
+
+    distance: what it holds already is a bound that candidates have to be below; source is -1 where
+    none is.
     """
     wanted = np.empty(len(offsets), np.uint8)
     sums = np.empty(1024, np.uint16)
     for z in range(start, stop):
         for y in range(counts.shape[1]):
             for x in range(counts.shape[2]):
-                source[z, y, x], distance[z, y, x] = -1, FAR
+                source[z, y, x] = -1
                 if not counts[z, y, x]:
+                    distance[z, y, x] = FAR
                     continue
                 for j in range(len(offsets)):
                     wanted[j] = blocks[z + offsets[j, 0], y + offsets[j, 1], x + offsets[j, 2]]
                 node = nodes[_find_leaf(wanted, nodes, low, high)]
-                best = FAR
+                best = distance[z, y, x]
                 b = min(node[0] + len(sums), node[1])
                 scan(features, wanted, node[0], b, sums)
                 for n in range(node[0], b):
