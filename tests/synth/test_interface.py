@@ -73,7 +73,7 @@ def plates(period, side=48):
 
 
 def test_the_share_of_other_material_follows_its_two_point_function():
-    """Plates twice as far apart have half of the interface a volume, nearly: a bin holds diagonals."""
+    """Plates twice as far apart have half of the interface, nearly: a bin holds diagonals."""
     near, far = (correlations_of([plates(p)], softness=1.0, r_max=6) for p in (12, 24))
     share = interface_share([plates(12)])
     assert share_at(share, near, far)[0] == pytest.approx(share[0] / 2, rel=0.2)
