@@ -23,7 +23,7 @@ from trabecula.synth.gan import CAPABILITIES
 from trabecula.synth.gan.config import GanConfig
 from trabecula.synth.gan.decode import CELLS, decode, make_tiles, margin_cells
 
-PROCESS = 470 << 20
+PROCESS = 485 << 20
 """Bytes of the interpreter with NumPy, Numba and torch loaded."""
 
 _AUTOGRAD = 40 << 20  # bytes of torch's code for training, loaded
