@@ -83,7 +83,8 @@ class Pass:
 
     `beyond` says how far the last round aims beyond the target, in what the rounds before fell
     short of it: the next pass takes some of that back. Nothing comes after the last pass, which is
-    on target.
+    on target. `roughest` is the most interface that a step may leave, over the target's: of a pass
+    that goes beyond, a vote smooths some away.
     """
 
     level: int
@@ -92,6 +93,7 @@ class Pass:
     rounds: int
     steps: int
     beyond: float = 1.0
+    roughest: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,10 @@ def passes(novelty: float, top: int, layout: str, *, beside: bool = False) -> tu
     elif layout == "structure":
         coarser.append(Pass(1, 8, 1, 4 + moved, 2))
         width = WIDTH
-    finest = (Pass(0, width, 2, 2, 2, beyond=1.7), Pass(0, WIDTH, 2, 1, 1, beyond=0.0))
+    finest = (
+        Pass(0, width, 2, 2, 2, beyond=1.7, roughest=1.1),
+        Pass(0, WIDTH, 2, 1, 1, beyond=0.0),
+    )
     if beside:
         return tuple(replace(p, steps=0, beyond=0.0) for p in (*coarser, *finest))
     return (*coarser, *finest)
@@ -366,7 +371,7 @@ class NovelRounds(CoarseToFine[Any]):
             part,
             grid,
             aims.correlations,
-            aims.interface,
+            None if aims.interface is None else part.roughest * aims.interface,
             key(self.request.seed, f"novel/pass {number}"),
             number == len(self.schedule) - 1,
         )
