@@ -19,7 +19,7 @@ from trabecula.synth.gan.adversarial import AdversarialPair  # noqa: E402
 from trabecula.synth.gan.config import PRESETS, GanConfig  # noqa: E402
 from trabecula.synth.gan.evaluation import failure  # noqa: E402
 from trabecula.synth.gan.losses import CandidateTable  # noqa: E402
-from trabecula.synth.gan.networks import Subpixel  # noqa: E402
+from trabecula.synth.gan.networks import Subpixel, arithmetic  # noqa: E402
 from trabecula.synth.gan.train import exemplar_fields  # noqa: E402
 
 TINY = {"crop": 40, "batch": 2, "width": 2, "latent": 2, "minutes": 0.0, "looks": 1}
@@ -151,7 +151,9 @@ def test_the_forecast_of_memory_holds():
         [sys.executable, "-c", MEASURE], capture_output=True, text=True, check=True
     )
     forecast, peak = map(int, done.stdout.split())
-    assert peak <= forecast <= 2 * peak
+    # in float32 the same training has peaks between 1.0 and 2.1 GB
+    most = 2 if arithmetic(GanConfig()) == "bf16" else 3
+    assert peak <= forecast <= most * peak
 
 
 @pytest.mark.parametrize("reading", ["deconvolution", "deconvolution+conv"])

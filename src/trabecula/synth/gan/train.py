@@ -126,8 +126,8 @@ _SLOWER = 0.5  # the rate after a restart, times the one before
 _COPIES = 4  # of the weights: their gradients, two moments and the last good state
 # Results of a layer that backpropagation holds: its own, rearranged, and after the activation.
 _RESULTS = 5
-# copies of them that convolutions in float32 rearrange, where a processor lacks bf16: a peak between
-# 1.2 and 2.1 GB was seen of the same training
+# Times as much in float32, where a processor lacks bf16: convolutions rearrange more, and the same
+# training had peaks between 1.0 and 2.1 GB.
 _REARRANGED = 2.6
 # Bytes a voxel of the crops in the sliced loss: products along 32 directions at every fourth,
 # sorted, with their places.
