@@ -23,7 +23,7 @@ from trabecula.report.band import (
     value_band,
 )
 from trabecula.report.metrics import Metric
-from trabecula.report.reference import _passes, independent_coherence
+from trabecula.report.reference import _passes, search_parts
 from trabecula.report.summary_text import sentences
 from trabecula.report.verdict import Certificate
 
@@ -245,7 +245,7 @@ def test_a_small_image_need_not_percolate_where_a_part_of_the_exemplar_does_not(
 
 def test_parts_are_searched_in_other_parts():
     boxes = list(parts(tb.Image(field(0, (48, 24, 24)), "labels")))
-    shares = independent_coherence(boxes)
+    shares = [share for share, _ in search_parts(boxes)]
     assert len(shares) == len(boxes) == 2 and max(shares) < 0.5
 
 

@@ -7,11 +7,12 @@ import pytest
 
 import trabecula as tb
 from trabecula.measure.copying import TurnedCopies
+from trabecula.measure.copying.turned import ENOUGH
 from trabecula.report import rates
 from trabecula.report.descriptors import LabelDescriptors
 from trabecula.report.metrics import Metric
 from trabecula.report.rates import rates_note
-from trabecula.report.reference import Reference, turned_limit
+from trabecula.report.reference import Reference, copies_limit
 from trabecula.report.summary_text import sentences
 from trabecula.report.verdict import Certificate
 
@@ -60,9 +61,19 @@ def test_independent_material_has_no_turned_copies(reference):
 
 
 def test_the_limit_is_above_what_parts_have_and_never_below_a_tenth():
-    assert turned_limit([0.0, 0.0, 0.0, 0.0]) == 0.1
-    assert turned_limit([0.05, 0.2, 0.1, 0.05]) > 0.2
-    assert turned_limit([0.9, 1.0]) == 1.0
+    assert copies_limit([0.0, 0.0, 0.0, 0.0], ENOUGH) == 0.1
+    assert copies_limit([0.05, 0.2, 0.1, 0.05], ENOUGH) > 0.2
+    assert copies_limit([0.9, 1.0], ENOUGH) == 1.0
+
+
+@pytest.mark.whole
+def test_a_member_turned_from_any_of_several_scans_is_found():
+    """What another scan does not hold says nothing about it."""
+    scans = [field(seed, 64) for seed in (0, 1)]
+    members = [field(seed, 40) for seed in range(2, 6)]
+    members[0] = tb.Image(scans[0].values[:40, 39::-1, :40].copy(), "labels")
+    faults = tb.verify_ensemble(scans, members, r_max=8).copying.faults
+    assert any("member 1" in text and "mirrored along y" in text for text in faults)
 
 
 def test_a_plain_and_a_turned_copy_are_told_in_one_sentence():

@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 
 from trabecula.core import progress
-from trabecula.core.image import Image
+from trabecula.core.image import Image, with_values
 from trabecula.measure.centre_crop import box_sides, centre
 from trabecula.measure.mean_variance import SpatialCovariance
 from trabecula.measure.mechanics import stiffness
@@ -87,18 +87,11 @@ def variance_share(known: SpatialCovariance) -> float:
 
 def crop_box(image: Image, box: int | None) -> Image:
     """Return the centre box of an image."""
-    values = centre(image.values, box_sides(box, image.shape))
-    return Image(values, "labels", spacing=image.spacing, unit=image.unit, phases=image.phases)
+    return with_values(image, centre(image.values, box_sides(box, image.shape)))
 
 
 def _part(image: Image, place: tuple[int, ...]) -> Image:
     halves = [side // 2 for side in image.shape]
     corner = [at * (side - half) for at, side, half in zip(place, image.shape, halves, strict=True)]
     box = tuple(slice(at, at + half) for at, half in zip(corner, halves, strict=True))
-    return Image(
-        np.ascontiguousarray(image.values[box]),
-        "labels",
-        spacing=image.spacing,
-        unit=image.unit,
-        phases=image.phases,
-    )
+    return with_values(image, np.ascontiguousarray(image.values[box]))

@@ -15,6 +15,7 @@ from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.measure.copying import TurnedCopies, differences, diversity
+from trabecula.measure.copying.turned import ENOUGH
 from trabecula.measure.fractions import porosity
 from trabecula.measure.registry import LEVELS
 from trabecula.report.band import parts
@@ -29,10 +30,9 @@ from trabecula.report.real_parts import RealParts
 from trabecula.report.reference import (
     LAG,
     SAMPLES,
-    coherence_limit,
+    copies_limit,
     search_copies,
     search_parts,
-    turned_limit,
 )
 from trabecula.report.verdict import about_image
 
@@ -226,7 +226,7 @@ def _find_copies(
     real = [] if level == "quick" else [*_search_real(exemplars)]
     if not real:
         return Copying(closest, pair, faults=tuple(faults))
-    limit = coherence_limit([share for share, _ in real])
+    limit = copies_limit([share for share, _ in real], SAMPLES)
     among = _coherence_among([members[n] for n in chosen])
     copied: dict[str, float] = {}
     turned: dict[str, TurnedCopies] = {}
@@ -234,14 +234,16 @@ def _find_copies(
         found = [search_copies(exemplar, members[n]) for exemplar in exemplars]
         found = [each for each in found if each[0] is not None]
         copied[names[n]] = max((share or 0.0 for share, _ in found), default=0.0)
-        turned |= [(names[n], each) for _, each in found if each]
+        seen = [each for _, each in found if each]
+        if seen:
+            turned[names[n]] = max(seen, key=lambda each: each.share)
     worst = max(copied, key=lambda name: copied[name])
     if copied[worst] > limit:
         faults.append(
             f"Copied from the exemplar: of {worst}, {copied[worst]:.0%} of the voxels continue a "
             f"patch of it (real material: up to {limit:.0%})"
         )
-    most = turned_limit([copies.share for _, copies in real])
+    most = copies_limit([copies.share for _, copies in real], ENOUGH)
     for name, copies in turned.items():
         if copies.share > most:
             faults.append(

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,8 @@ import numpy as np
 from trabecula.report.ensemble_page import ensemble_page, ensemble_summary_html
 from trabecula.report.ensemble_tests import Comparison
 from trabecula.report.ensemble_text import ensemble_summary, ensemble_table
-from trabecula.report.page import write_page
+from trabecula.report.findings import Findings
+from trabecula.report.page import Pictures
 
 MOST_OPEN = 0.2
 """Share of figures that are not decided at which an ensemble still passes."""
@@ -39,7 +39,7 @@ class Copying:
 
 
 @dataclass(frozen=True, repr=False)
-class EnsembleCertificate:
+class EnsembleCertificate(Findings):
     """The findings of `verify_ensemble` about the members of an ensemble."""
 
     metrics: Mapping[str, Comparison]
@@ -139,28 +139,8 @@ class EnsembleCertificate:
         """Return a table for a terminal."""
         return ensemble_table(self)
 
-    def to_html(
-        self,
-        path: str | Path | None = None,
-        *,
-        pictures: Iterable[tuple[str, str | Path | bytes]] = (),
-    ) -> str:
-        """Build one self-contained page; write it to `path` where one is given.
-
-        Parameters
-        ----------
-        path : str or Path, optional
-        pictures : iterable of (caption, PNG file or its bytes), optional
-            Shown side by side, and kept in the page.
-
-        Returns
-        -------
-        html : str
-        """
-        html = ensemble_page(self, pictures=pictures)
-        if path is not None:
-            write_page(html, path)
-        return html
+    def _page(self, pictures: Pictures) -> str:
+        return ensemble_page(self, pictures=pictures)
 
 
 def _plain(one: Comparison) -> dict[str, Any]:

@@ -119,7 +119,7 @@ class Reference:
         known = [number for number in self.spread["turned_copies"] if number is not None]
         found = Metric(None)
         if turned is not None:
-            limit = turned_limit(known) if known else None
+            limit = copies_limit(known, ENOUGH) if known else None
             found = Metric(
                 turned.share,
                 None if limit is None else (0.0, limit),
@@ -133,7 +133,7 @@ class Reference:
         known = [number for number in self.spread["coherence"] if number is not None]
         if not known:
             return Metric(share)
-        band = (0.0, coherence_limit(known))
+        band = (0.0, copies_limit(known, SAMPLES))
         return Metric(share, band, None if share is None else share <= band[1])
 
     def judge_measurements(self, measured: Measurements) -> dict[str, Metric]:
@@ -243,23 +243,12 @@ def _passes(value: float, band: tuple[float, float], rule: str) -> bool:
     return bool(enough and (rule == AT_LEAST or value <= band[1]))
 
 
-def coherence_limit(known: Sequence[float]) -> float:
-    """Return the largest share of voxels that are copies by chance, from those of real parts."""
-    noise = math.sqrt(max(0.02, float(np.mean(known))) / SAMPLES)
-    return min(1.0, max(CHANCE, draw_limit(known, noise)))
-
-
-def turned_limit(known: Sequence[float]) -> float:
-    """Return the largest share of turned copies by chance, from those of real parts."""
-    noise = math.sqrt(max(0.02, float(np.mean(known))) / ENOUGH)
-    return min(1.0, max(CHANCE, draw_limit(known, noise)))
-
-
-def independent_coherence(boxes: Sequence[Image]) -> list[float | None]:
-    """Measure the coherence of real material that was not copied: parts of the exemplar, searched
-    in the part farthest away.
+def copies_limit(known: Sequence[float], voxels: int) -> float:
+    """Return the largest share of copied voxels by chance, from those of real parts, of each of
+    which so many voxels were looked at.
     """
-    return [share for share, _ in search_parts(boxes)]
+    noise = math.sqrt(max(0.02, float(np.mean(known))) / voxels)
+    return min(1.0, max(CHANCE, draw_limit(known, noise)))
 
 
 def search_parts(boxes: Sequence[Image]) -> list[tuple[float | None, TurnedCopies | None]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.errors import InputError
-from trabecula.core.image import Image
+from trabecula.core.image import Image, with_values
 from trabecula.measure.copying import coherent_patches, sources
 
 SLAB = 15
@@ -48,13 +48,7 @@ def source_map(exemplar: Image, image: Image) -> SourceMap | None:
         slice(max(0, (side - most) // 2), (side - most) // 2 + most if side > most else side)
         for side, most in box
     )
-    part = Image(
-        np.ascontiguousarray(image.values[slab]),
-        "labels",
-        image.spacing,
-        unit=image.unit,
-        phases=image.phases,
-    )
+    part = with_values(image, np.ascontiguousarray(image.values[slab]))
     try:
         taken = sources(exemplar, part)
         patches = coherent_patches(taken)
@@ -80,19 +74,11 @@ def own_source_map(exemplar: Image) -> SourceMap | None:
     not copied.
     """
     middle = exemplar.shape[0] // 2
-    halves = []
-    for part in (slice(0, middle), slice(middle, None)):
-        values = exemplar.values[part]
-        halves.append(
-            Image(
-                np.ascontiguousarray(values),
-                exemplar.kind,
-                exemplar.spacing,
-                unit=exemplar.unit,
-                phases=exemplar.phases,
-            )
-        )
-    return source_map(halves[1], halves[0])
+    one, other = (
+        with_values(exemplar, np.ascontiguousarray(values))
+        for values in (exemplar.values[:middle], exemplar.values[middle:])
+    )
+    return source_map(other, one)
 
 
 def _colours() -> np.ndarray:

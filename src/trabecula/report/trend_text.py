@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from trabecula.core.image import Image
+from trabecula.core.image import Image, with_values
 from trabecula.exemplar.margins import crop_margins
 from trabecula.report.stationarity import Trend, find_trends
 from trabecula.report.structure import centre_box, lengths_along_axes
@@ -61,7 +61,7 @@ def trend_note(image: Image) -> str | None:
     side = NOTE_BOX[inner.ndim]
     if max(inner.shape) > side:
         values = centre_box(inner.values, side)
-        inner = Image(values, inner.kind, inner.spacing, unit=inner.unit, phases=inner.phases)
+        inner = with_values(inner, values)
     if min(inner.shape) < 4:
         return None
     found = find_trends(inner, lengths_along_axes(inner)).surest

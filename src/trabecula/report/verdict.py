@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from trabecula.core.image import Image, describe_fields
+from trabecula.report.findings import Findings
 from trabecula.report.metrics import Metric, all_passed, group_verdicts
-from trabecula.report.page import page, summary_html, write_page
+from trabecula.report.page import Pictures, page, summary_html
 from trabecula.report.summary_text import summary, table
 
 IN_SPACE = ("connectivity", "physics")
@@ -17,7 +17,7 @@ IN_SPACE = ("connectivity", "physics")
 
 
 @dataclass(frozen=True, repr=False)
-class Certificate:
+class Certificate(Findings):
     """The findings of `verify` about one image."""
 
     metrics: Mapping[str, Metric]
@@ -101,28 +101,8 @@ class Certificate:
         """Return a table for a terminal."""
         return table(self)
 
-    def to_html(
-        self,
-        path: str | Path | None = None,
-        *,
-        pictures: Iterable[tuple[str, str | Path | bytes]] = (),
-    ) -> str:
-        """Build one self-contained page; write it to `path` where one is given.
-
-        Parameters
-        ----------
-        path : str or Path, optional
-        pictures : iterable of (caption, PNG file or its bytes), optional
-            Shown side by side, and kept in the page.
-
-        Returns
-        -------
-        html : str
-        """
-        html = page([self], pictures=pictures)
-        if path is not None:
-            write_page(html, path)
-        return html
+    def _page(self, pictures: Pictures) -> str:
+        return page([self], pictures=pictures)
 
 
 def about_image(image: Image) -> dict[str, Any]:
