@@ -187,22 +187,26 @@ def fidelity() -> None:
                 )
 
 
-LAYOUTS = {"coarse": (1,), "structure": (1, 2, 3)}
-"""The default of 0.1, and that of now, with their seeds."""
+RUNS = (
+    ("coarse", 1.25, (1,)),
+    ("structure", 1.25, (1, 2, 3)),
+    ("structure", 2.0, (1,)),
+)
+"""Layout (the first default's, and that of now), sides over the exemplar's, and seeds."""
 
 
 def materials() -> None:
-    """1.25 times the side of the central 96^3 of every exemplar, with the layout of 0.1 and with
-    that of now: how many figures of `verify` lie outside their bands, some of them, and the names
-    of those outside.
+    """1.25 times and twice the side of the central 96^3 of every exemplar, with the layout of 0.1
+    and with that of now: how many figures of `verify` lie outside their bands, some of them, and
+    the names of those outside.
     """
     names = ("S2 rel", "thickness", "Euler", "pore size", "coh(4)")
-    row = table("exemplar, layout, seed", "out", "of", *names, "CPU s", wide=36)
+    row = table("exemplar, layout, sides, seed", "out", "of", *names, "CPU s", wide=36)
     for name, whole in wholes().items():
         exemplar = tb.crop(whole, [min(96, side) for side in whole.shape])
         reference = reference_of(exemplar)
-        shape = [side * 5 // 4 for side in exemplar.shape]
-        for layout, seeds in LAYOUTS.items():
+        for layout, times, seeds in RUNS:
+            shape = [int(side * times) for side in exemplar.shape]
             model = fitted(exemplar, {"layout": layout})
             for seed in seeds:
                 seconds, material = busy(lambda m=model, s=seed, n=shape: m.generate(n, seed=s))
@@ -211,7 +215,7 @@ def materials() -> None:
                 out = [key for key, passed in decided.items() if passed is False]
                 count = sum(passed is not None for passed in decided.values())
                 told = (len(out), count, *cells(metrics, names), f"{seconds:.0f}")
-                row(f"{name}, {layout}, {seed}", *told)
+                row(f"{name}, {layout}, {times:g}, {seed}", *told)
                 print("    " + " ".join(out), flush=True)
 
 

@@ -51,6 +51,8 @@ _NAMES = {
     "verify_ensemble": "trabecula.report.ensemble",
     "inspect": "trabecula.report.inspection",
     "print_check": "trabecula.finish.printing",
+    "write_layers": "trabecula.layers.write",
+    "plan_layers": "trabecula.layers.write",
 }
 _MODULES = {
     "errors": "trabecula.errors",

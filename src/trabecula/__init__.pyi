@@ -20,6 +20,8 @@ from trabecula.finish.printing import print_check as print_check
 from trabecula.io.files import read as read
 from trabecula.io.files import write as write
 from trabecula.io.lazy import open_slabs as open_slabs
+from trabecula.layers.write import plan_layers as plan_layers
+from trabecula.layers.write import write_layers as write_layers
 from trabecula.measure import describe as describe
 from trabecula.mesh.files import read_mesh as read_mesh
 from trabecula.mesh.surface import mesh as mesh
@@ -64,6 +66,7 @@ __all__ = [
     "method",
     "methods",
     "open_slabs",
+    "plan_layers",
     "print_check",
     "read",
     "read_mesh",
@@ -78,4 +81,5 @@ __all__ = [
     "view",
     "voxelise",
     "write",
+    "write_layers",
 ]

@@ -28,6 +28,7 @@ VERBS = {
     "finish": "make it printable: prune, connect, smooth, thicken, remove floaters, fill pores",
     "check": "list what a printer would refuse or warn of",
     "export": "write surfaces (.stl .3mf .ply .obj) and volumes for other programs",
+    "layers": "write what printers build layer by layer: pictures for jetting and light, contours",
     "view": "turn, cut, slice and shade in a browser; several side by side",
     "render": "render a still picture, or one that turns",
     "rerun": "make a file's voxels again from the recipe in it",
