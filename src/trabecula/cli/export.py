@@ -19,6 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--phase", help="phase whose surface is taken (default: every phase but void)"
     )
+    parser.add_argument(
+        "--beams",
+        action="store_true",
+        help="beams along the skeleton instead of a surface, as .3mf: small, and editable",
+    )
     shared.add_lengths(parser)
     shared.add_memory(parser, "the .stl of a .zarr that needs more is written in slabs")
 
@@ -35,10 +40,12 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.pipeline.outputs import check_target
 
     check_target(options.out, surfaces=True)
-    volume = _too_large(options)
+    volume = None if options.beams else _too_large(options)
     if volume is not None:
         return _in_slabs(volume, options)
     image = with_lengths(read(options.file), **shared.lengths(options))
+    if options.beams:
+        return _as_beams(image, options)
     if Path(options.out).suffix.lower() not in FORMATS:
         write(image, options.out)
         print(f"{options.out}: {image!r}")
@@ -48,6 +55,19 @@ def run(options: argparse.Namespace) -> int:
     print(f"{options.out}: {len(surface.vertices)} vertices, {len(surface.faces)} triangles")
     print(f"size {_size(extent_of(surface), surface.unit, options.out)}")
     terminal.show_mapping(vars(check(surface)))
+    return 0
+
+
+def _as_beams(image: Any, options: argparse.Namespace) -> int:
+    """Write beams, and say how far they are from the part."""
+    from trabecula.mesh.beam_file import write_beams
+    from trabecula.mesh.beams import beam_lattice, compare_beams
+
+    lattice = beam_lattice(image, phase=options.phase)
+    write_beams(lattice, options.out)
+    found = compare_beams(image, lattice, phase=options.phase)
+    print(f"{options.out}: {len(lattice.beams)} beams")
+    terminal.show_mapping(found)
     return 0
 
 

@@ -21,9 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="polyjet (default): a colour for each material; dlp: grey masks; svg or cli: contours",
     )
-    parser.add_argument(
-        "--out", metavar="FOLDER", help="a new folder; of cli a file, .cli"
-    )
+    parser.add_argument("--out", metavar="FOLDER", help="a new folder; of cli a file, .cli")
     parser.add_argument(
         "--pitch",
         nargs="+",

@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import xml.etree.ElementTree as ElementTree
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from xml.sax.saxutils import escape
@@ -13,12 +15,14 @@ import numpy as np
 
 from trabecula import __version__
 from trabecula.core.errors import FileError
+from trabecula.core.recipe import Recipe
 from trabecula.engine.memory import available_memory
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.text import NO_UNIT, format_rows, metres, parse_unit, recipe_json
 
 _UNITS = {1e-6: "micron", 1e-3: "millimeter", 1e-2: "centimeter", 1.0: "meter"}
 _CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
+BEAMS = "{http://schemas.microsoft.com/3dmanufacturing/beamlattice/2017/02}"
 _NO_UNIT_NOTE = "unit unknown: a length of 1 was written as 1 mm"
 _PART = "{http://schemas.microsoft.com/3dmanufacturing/production/2015/06}path"
 _FOOT = 12.0  # inches: the one unit of 3MF that an Image does not know
@@ -42,14 +46,34 @@ Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
 
 def write(mesh: Mesh, path: Path) -> None:
     """Write `mesh` in its own unit where 3MF has it, else in micrometres; voxels as millimetres."""
-    unit, factor = _unit(mesh)
+    with opened_model(path, mesh.unit, mesh.recipe) as (file, factor):
+        file.write('<object id="1" type="model">\n<mesh>\n<vertices>\n')
+        vertices = mesh.vertices * factor if factor != 1.0 else mesh.vertices
+        file.writelines(format_rows('<vertex x="%.7g" y="%.7g" z="%.7g"/>\n', vertices))
+        file.write("</vertices>\n<triangles>\n")
+        file.writelines(format_rows('<triangle v1="%d" v2="%d" v3="%d"/>\n', mesh.faces))
+        file.write("</triangles>\n</mesh>\n</object>\n")
+
+
+@contextmanager
+def opened_model(
+    path: Path, unit: str, recipe: Recipe, extension: str = ""
+) -> Iterator[tuple[io.TextIOWrapper, float]]:
+    """Open a package whose model is written: object 1 goes into the file that is yielded, its
+    lengths times the factor; `extension` are further attributes of the model.
+    """
+    name, factor = _unit(unit)
     with zipfile.ZipFile(path, "w") as package:
-        for name, text in (("[Content_Types].xml", _TYPES), ("_rels/.rels", _RELATIONSHIPS)):
-            package.writestr(_entry(name), text)
+        for part, text in (("[Content_Types].xml", _TYPES), ("_rels/.rels", _RELATIONSHIPS)):
+            package.writestr(_entry(part), text)
         # Level 1: 3 times faster than the default for a file some 10 % larger.
-        with package.open(_entry("3D/3dmodel.model"), "w", force_zip64=True) as part:
-            text_file = io.TextIOWrapper(part, encoding="utf-8", write_through=True)
-            _write_model(mesh, text_file, unit=unit, factor=factor)
+        with package.open(_entry("3D/3dmodel.model"), "w", force_zip64=True) as stream:
+            file = io.TextIOWrapper(stream, encoding="utf-8", write_through=True)
+            _write_head(file, name, unit, recipe, extension)
+            yield file, factor
+            file.write('</resources>\n<build>\n<item objectid="1"/>\n</build>\n</model>\n')
+            file.flush()
+            file.detach()
 
 
 def _entry(name: str) -> zipfile.ZipInfo:
@@ -61,9 +85,9 @@ def _entry(name: str) -> zipfile.ZipInfo:
     return entry
 
 
-def _unit(mesh: Mesh) -> tuple[str, float]:
-    """Return the 3MF name of the mesh's unit and the factor of its coordinates."""
-    size = metres(mesh.unit)
+def _unit(unit: str) -> tuple[str, float]:
+    """Return the 3MF name of a unit and the factor of its coordinates."""
+    size = metres(unit)
     if size is None:
         return "millimeter", 1.0
     for known, name in _UNITS.items():
@@ -72,32 +96,21 @@ def _unit(mesh: Mesh) -> tuple[str, float]:
     return "micron", size * 1e6
 
 
-def _write_model(mesh: Mesh, file: io.TextIOWrapper, *, unit: str, factor: float) -> None:
+def _write_head(
+    file: io.TextIOWrapper, name: str, unit: str, recipe: Recipe, extension: str
+) -> None:
+    note = metres(unit) is None
     file.write(
         '<?xml version="1.0" encoding="UTF-8"?>\n'
-        f'<model unit="{unit}" xml:lang="en-US" '
+        f'<model unit="{name}" xml:lang="en-US" '
         'xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02" '
-        'xmlns:tb="urn:trabecula">\n'
+        f'xmlns:tb="urn:trabecula"{extension}>\n'
         f'<metadata name="Application">trabecula {__version__}</metadata>\n'
-        f'<metadata name="tb:unit">{escape(mesh.unit)}</metadata>\n'
-        + (
-            f'<metadata name="tb:note">{_NO_UNIT_NOTE}</metadata>\n'
-            if metres(mesh.unit) is None
-            else ""
-        )
-        + f'<metadata name="tb:recipe">{escape(recipe_json(mesh.recipe))}</metadata>\n'
-        '<resources>\n<object id="1" type="model">\n<mesh>\n<vertices>\n'
+        f'<metadata name="tb:unit">{escape(unit)}</metadata>\n'
+        + (f'<metadata name="tb:note">{_NO_UNIT_NOTE}</metadata>\n' if note else "")
+        + f'<metadata name="tb:recipe">{escape(recipe_json(recipe))}</metadata>\n'
+        "<resources>\n"
     )
-    vertices = mesh.vertices * factor if factor != 1.0 else mesh.vertices
-    file.writelines(format_rows('<vertex x="%.7g" y="%.7g" z="%.7g"/>\n', vertices))
-    file.write("</vertices>\n<triangles>\n")
-    file.writelines(format_rows('<triangle v1="%d" v2="%d" v3="%d"/>\n', mesh.faces))
-    file.write(
-        "</triangles>\n</mesh>\n</object>\n</resources>\n"
-        '<build>\n<item objectid="1"/>\n</build>\n</model>\n'
-    )
-    file.flush()
-    file.detach()
 
 
 def read(path: Path) -> Mesh:
@@ -133,6 +146,10 @@ def read(path: Path) -> Mesh:
         for part in _object_parts(objects, _key(item, first), _transform(item))
     ]
     offsets = np.cumsum([0, *(len(points) for points, _ in parts)])
+    if not sum(len(corners) for _, corners in parts) and any(
+        node.iter(f"{BEAMS}beam") for node in objects.values()
+    ):
+        raise FileError(f"{path} holds beams and no triangles: a surface is what is read")
     vertices = np.concatenate([points for points, _ in parts])
     faces = np.concatenate(
         [faces + offset for (_, faces), offset in zip(parts, offsets[:-1], strict=True)]

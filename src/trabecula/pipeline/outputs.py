@@ -19,6 +19,8 @@ from trabecula.engine.store import open_unfinished
 from trabecula.io import files
 from trabecula.io.formats import format_of, suffix_of, suffixes
 from trabecula.io.lengths import with_lengths
+from trabecula.mesh.beam_file import write_beams
+from trabecula.mesh.beams import beam_lattice
 from trabecula.mesh.files import write_mesh
 from trabecula.mesh.formats import FORMATS as SURFACES
 from trabecula.mesh.slabs import export_slabs
@@ -33,6 +35,7 @@ def export(
     spacing: float | Sequence[float] | None = None,
     unit: str | None = None,
     scale: float | None = None,
+    beams: bool = False,
 ) -> Path | Remote:
     """Write an image for another program: the closed surface of a phase, or the voxels.
 
@@ -51,6 +54,9 @@ def export(
         millimetres, with a notice (`write_mesh`).
     scale : float, optional
         Factor on all lengths: 10 makes the part ten times as large.
+    beams : bool
+        Write beams along the skeleton instead of a surface, as .3mf (`mesh.beams`): a small file
+        that one can edit, right for struts and not for plates.
 
     Returns
     -------
@@ -64,11 +70,15 @@ def export(
         As `mesh`, `write_mesh` and `write`; a spacing or scale that is not above 0.
     """
     check_target(path, surfaces=True)
+    if beams and (isinstance(image, Slabs) or Path(path).suffix.lower() != ".3mf"):
+        raise InputError("beams are made of a volume in memory, and written as .3mf; name it so")
     lengths: dict[str, Any] = {"spacing": spacing, "unit": unit, "scale": scale}
     if isinstance(image, Slabs):
         export_slabs(with_lengths(image, **lengths), path, phase=phase)
         return Path(path)
     image = with_lengths(as_image(image), **lengths)
+    if beams:
+        return write_beams(beam_lattice(image, phase=phase), path)
     if Path(path).suffix.lower() in SURFACES:
         return write_mesh(mesh(image, phase=phase), path)
     return files.write(image, path)
