@@ -34,6 +34,7 @@ import image_truth
 import intervals
 import noise
 import novelty_blind
+import printing
 import texture
 import texture_speed
 import trabecula as tb
@@ -110,6 +111,8 @@ CASES: dict[str, Callable[[], None]] = {
     "big_whole": big_whole.big_whole,
     "view_still": view.view_still,
     "view_page": view.view_page,
+    "surfaces": printing.surfaces,
+    "layers": printing.layers,
     "intervals": intervals.intervals,
     "measures": measures,
     "large": large,

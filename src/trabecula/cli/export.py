@@ -8,6 +8,7 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+from trabecula.core.errors import InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,6 +24,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--beams",
         action="store_true",
         help="beams along the skeleton instead of a surface, as .3mf: small, and editable",
+    )
+    parser.add_argument(
+        "--tolerance",
+        metavar="VOXELS",
+        help="decimate the surface: fewer triangles, nowhere farther from it than this (try 0.5)",
     )
     shared.add_lengths(parser)
     shared.add_memory(parser, "the .stl of a .zarr that needs more is written in slabs")
@@ -40,17 +46,27 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.pipeline.outputs import check_target
 
     check_target(options.out, surfaces=True)
-    volume = None if options.beams else _too_large(options)
+    tolerance = None
+    if options.tolerance is not None:
+        tolerance = shared.number(options.tolerance, name="--tolerance")
+    in_memory = options.beams or tolerance is not None
+    volume = None if in_memory else _too_large(options)
     if volume is not None:
         return _in_slabs(volume, options)
     image = with_lengths(read(options.file), **shared.lengths(options))
     if options.beams:
         return _as_beams(image, options)
     if Path(options.out).suffix.lower() not in FORMATS:
+        if tolerance is not None:
+            raise InputError(
+                f"{options.out} holds voxels, --tolerance is for a surface: leave it out"
+            )
         write(image, options.out)
         print(f"{options.out}: {image!r}")
         return 0
     surface = mesh(image, phase=options.phase)
+    if tolerance is not None:
+        surface = _decimated(surface, tolerance, min(image.spacing))
     write_mesh(surface, options.out)
     print(f"{options.out}: {len(surface.vertices)} vertices, {len(surface.faces)} triangles")
     print(f"size {_size(extent_of(surface), surface.unit, options.out)}")
@@ -69,6 +85,19 @@ def _as_beams(image: Any, options: argparse.Namespace) -> int:
     print(f"{options.out}: {len(lattice.beams)} beams")
     terminal.show_mapping(found)
     return 0
+
+
+def _decimated(surface: Any, tolerance: float, voxel: float) -> Any:
+    """Decimate a surface, and say how far it is from the one before."""
+    from trabecula.mesh.decimate import decimate, surface_distance
+
+    fewer = decimate(surface, tolerance * voxel)
+    off = surface_distance(surface, fewer, spacing=voxel / 2)
+    print(
+        f"{len(surface.faces)} triangles before; distance at most {off.there / voxel:.2f} voxels "
+        f"from there, {off.back / voxel:.2f} back, {off.mean / voxel:.2f} on average"
+    )
+    return fewer
 
 
 def _size(extent: Any, unit: str, out: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from trabecula.core.checks import check_name
+from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.lazy_volume import Slabs
@@ -21,6 +21,7 @@ from trabecula.io.formats import format_of, suffix_of, suffixes
 from trabecula.io.lengths import with_lengths
 from trabecula.mesh.beam_file import write_beams
 from trabecula.mesh.beams import beam_lattice
+from trabecula.mesh.decimate import decimate
 from trabecula.mesh.files import write_mesh
 from trabecula.mesh.formats import FORMATS as SURFACES
 from trabecula.mesh.slabs import export_slabs
@@ -36,6 +37,7 @@ def export(
     unit: str | None = None,
     scale: float | None = None,
     beams: bool = False,
+    tolerance: float | None = None,
 ) -> Path | Remote:
     """Write an image for another program: the closed surface of a phase, or the voxels.
 
@@ -57,6 +59,9 @@ def export(
     beams : bool
         Write beams along the skeleton instead of a surface, as .3mf (`mesh.beams`): a small file
         that one can edit, right for struts and not for plates.
+    tolerance : float, optional
+        Decimate the surface: fewer triangles, nowhere farther from it than so many voxels (of their
+        shortest edge). Default: all triangles.
 
     Returns
     -------
@@ -72,6 +77,10 @@ def export(
     check_target(path, surfaces=True)
     if beams and (isinstance(image, Slabs) or Path(path).suffix.lower() != ".3mf"):
         raise InputError("beams are made of a volume in memory, and written as .3mf; name it so")
+    if tolerance is not None:
+        tolerance = as_number(tolerance, name="tolerance", low=1e-3, high=100)
+        if beams or isinstance(image, Slabs):
+            raise InputError("a tolerance is for a surface in memory: leave it out, or beams")
     lengths: dict[str, Any] = {"spacing": spacing, "unit": unit, "scale": scale}
     if isinstance(image, Slabs):
         export_slabs(with_lengths(image, **lengths), path, phase=phase)
@@ -80,7 +89,12 @@ def export(
     if beams:
         return write_beams(beam_lattice(image, phase=phase), path)
     if Path(path).suffix.lower() in SURFACES:
-        return write_mesh(mesh(image, phase=phase), path)
+        surface = mesh(image, phase=phase)
+        if tolerance is not None:
+            surface = decimate(surface, tolerance * min(image.spacing))
+        return write_mesh(surface, path)
+    if tolerance is not None:
+        raise InputError(f"{path} holds voxels, a tolerance is for a surface: leave it out")
     return files.write(image, path)
 
 
