@@ -116,7 +116,7 @@ def test_demo_leaves_what_it_says(place, monkeypatch, bone):
         "exemplar.zarr",
         "bone.zarr",
         "part.zarr",
-        "part.stl",
+        "part.3mf",
         "part.png",
         "slices.png",
         "report.html",

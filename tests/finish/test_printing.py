@@ -41,7 +41,7 @@ def test_a_solid_cube_passes(printer):
     assert worst(found) == {}
     extra = {"sls": {"trapped", "passage"}, "sla": {"trapped", "passage", "cups", "islands"}}
     extra["fdm"] = {"islands", "overhangs", "bridges"}
-    assert set(found) == {"size", "surface", "pieces", "walls", "gaps"} | extra[printer]
+    assert set(found) == {"size", "surface", "pieces", "walls", "gaps", "estimate"} | extra[printer]
 
 
 def test_the_box_may_be_met_by_turning_about_the_vertical():
@@ -91,6 +91,15 @@ def test_voxels_that_touch_in_an_edge_or_a_corner():
     assert verdicts(edge)["surface"] == verdicts(corner)["surface"] == "warn"
     assert figures(edge, "surface") == {"edges": 20, "corners": 0}
     assert figures(corner, "surface") == {"edges": 0, "corners": 1}
+
+
+def test_mass_and_time_are_those_of_the_volume():
+    block = np.ones((20, 10, 10), np.uint8)
+    found = figures(block, "estimate", "sla", layer=0.05, density=1.2, pause=9)
+    assert found["volume"] == 250 and found["mass"] == pytest.approx(0.3)
+    assert found["layers"] == 200 and found["hours"] == pytest.approx(0.5)
+    laid = figures(block, "estimate", "fdm", layer=0.5, pause=0.001, speed=2.5)
+    assert laid["hours"] == pytest.approx(100 / 3600, rel=1e-3)
 
 
 @pytest.mark.parametrize(

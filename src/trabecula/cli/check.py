@@ -19,8 +19,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="LIMIT=MM",
-        help="another limit than the typical one: box, wall, gap, passage, cup, overhang, bridge; "
-        "repeatable",
+        help="another limit than the typical one: box, wall, gap, layer, passage, cup, overhang, "
+        "bridge, density, pause, speed; repeatable",
     )
     parser.add_argument("--phase", help="phase that is printed (default: every phase but void)")
     parser.add_argument("--json", action="store_true", help="print as JSON")

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from trabecula.report.verdict import Certificate
 
 _DISK = 200 << 20  # bytes
+_SCALE = 10  # of the part that is printed: struts of the sample are too thin for a desktop printer
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +45,7 @@ _WHAT = {
     "exemplar.zarr": "the sample: a stand-in for a scan, 96^3",
     "bone.zarr": "more of the same material, 120^3, with its recipe",
     "part.zarr": "the same in one piece",
-    "part.stl": "its closed surface, in millimetres",
+    "part.3mf": "its surface ten times as large, within half a voxel, for a slicer",
     "part.png": "a still",
     "slices.png": "slices beside the exemplar's",
     "report.html": "the certificate: one page, open it in a browser",
@@ -54,7 +55,7 @@ _WHAT = {
 def demo(folder: str | os.PathLike[str], *, shape: int = 120, seed: int = 7) -> Certificate:
     """Run the main job on `sample:bone`: a larger volume, connected, with everything about it.
 
-    Writes exemplar.zarr, bone.zarr, part.zarr, part.stl, part.png, slices.png and report.html into
+    Writes exemplar.zarr, bone.zarr, part.zarr, part.3mf, part.png, slices.png and report.html into
     `folder`.
 
     Parameters
@@ -72,7 +73,9 @@ def demo(folder: str | os.PathLike[str], *, shape: int = 120, seed: int = 7) -> 
     from trabecula import finish
     from trabecula.core.progress import notify
     from trabecula.exemplar.samples import sample
+    from trabecula.finish.printing import print_check
     from trabecula.io import files
+    from trabecula.io.lengths import with_lengths
     from trabecula.pipeline.certificate_page import write_page
     from trabecula.pipeline.outputs import check_folder, export
     from trabecula.report.certificate import verify
@@ -87,7 +90,10 @@ def demo(folder: str | os.PathLike[str], *, shape: int = 120, seed: int = 7) -> 
     part = finish.connect(material)
     for image, name in ((exemplar, "exemplar.zarr"), (material, "bone.zarr"), (part, "part.zarr")):
         files.write(image, out / name)
-    notify(f"surface: {export(part, out / 'part.stl')}")
+    large = with_lengths(part, scale=_SCALE)
+    printed = export(large, out / "part.3mf", tolerance=0.5)
+    about = print_check(large, printer="sla").findings
+    notify(f"surface: {printed}: {about[0].says}; resin: {about[-1].says}")
     render(part, out / "part.png")
     montage([exemplar, part], ["exemplar", "part"], out / "slices.png")
     verdict = verify(exemplar, part, names=["part.zarr"])

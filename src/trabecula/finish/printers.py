@@ -20,6 +20,9 @@ from trabecula.core.errors import InputError
 class Printer:
     """Limits of a process, in millimetres; None where it has none. Each can be replaced.
 
+    What an estimate of mass and time takes is typical as well: machines of one process differ by
+    more than half.
+
     Parameters
     ----------
     process : str
@@ -30,6 +33,14 @@ class Printer:
         Least thickness of a strut or wall.
     gap : float
         Least width of a pore that stays open.
+    layer : float
+        Thickness of a layer.
+    density : float
+        Of the material, g/cm**3.
+    pause : float
+        Seconds of a layer that do not depend on what is in it.
+    speed : float, optional
+        Material that is laid down, mm**3/s; None where a layer is made at once.
     passage : float, optional
         Least width of the path on which powder or resin is cleared out.
     cup : float, optional
@@ -44,6 +55,10 @@ class Printer:
     box: tuple[float, float, float]
     wall: float
     gap: float
+    layer: float
+    density: float
+    pause: float
+    speed: float | None = None
     passage: float | None = None
     cup: float | None = None
     overhang: float | None = None
@@ -51,9 +66,39 @@ class Printer:
 
 
 PRINTERS: Mapping[str, Printer] = {
-    "sls": Printer("sls", box=(300.0, 165.0, 165.0), wall=0.7, gap=0.5, passage=1.5),
-    "sla": Printer("sla", box=(185.0, 145.0, 145.0), wall=0.5, gap=0.5, passage=0.5, cup=100.0),
-    "fdm": Printer("fdm", box=(250.0, 220.0, 220.0), wall=0.8, gap=0.5, overhang=45.0, bridge=10.0),
+    "sls": Printer(
+        "sls",
+        box=(300.0, 165.0, 165.0),
+        wall=0.7,
+        gap=0.5,
+        layer=0.11,
+        density=0.95,
+        pause=20.0,
+        passage=1.5,
+    ),
+    "sla": Printer(
+        "sla",
+        box=(185.0, 145.0, 145.0),
+        wall=0.5,
+        gap=0.5,
+        layer=0.05,
+        density=1.15,
+        pause=8.0,
+        passage=0.5,
+        cup=100.0,
+    ),
+    "fdm": Printer(
+        "fdm",
+        box=(250.0, 220.0, 220.0),
+        wall=0.8,
+        gap=0.5,
+        layer=0.2,
+        density=1.24,
+        pause=2.0,
+        speed=5.0,
+        overhang=45.0,
+        bridge=10.0,
+    ),
 }
 
 _RANGES = {"overhang": (0.0, 90.0), "cup": (0.0, 1e9)}

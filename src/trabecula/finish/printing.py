@@ -7,6 +7,7 @@ plate, or on supports (sla). The faces of the image are faces of the part.
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -103,8 +104,8 @@ def print_check(
         Bytes that may be used. Default: what is available.
     **limits
         Limits of the printer other than the typical ones (`trabecula.finish.printers.PRINTERS`), in
-        millimetres: box, wall, gap; passage (sls, sla), cup (sla, mm**3), overhang (degrees) and
-        bridge (fdm).
+        millimetres: box, wall, gap, layer; passage (sls, sla), cup (sla, mm**3), overhang (degrees)
+        and bridge (fdm); density (g/cm**3), pause (s a layer) and speed (fdm, mm**3/s).
 
     Returns
     -------
@@ -115,7 +116,7 @@ def print_check(
         `gap`); of powder and resin: trapped (closed pores), passage (pores that a ball of that
         width cannot come near); of resin: cups; of resin and filament: islands (layers that start
         in the air); of filament: overhangs (share of the surface facing down that leans more than
-        `overhang` from the vertical), bridges.
+        `overhang` from the vertical), bridges. The last one, estimate, tells mass and time.
 
     Raises
     ------
@@ -165,7 +166,27 @@ def print_check(
         findings.append(check_overhangs(part, machine.overhang))
     if machine.bridge is not None:
         findings.append(check_bridges(part, machine.bridge))
+    findings.append(estimate(part, machine))
     return PrintCheck(machine, tuple(findings))
+
+
+def estimate(part: Part, printer: Printer) -> Finding:
+    """Estimate the mass of a part, and the time of its print, without supports."""
+    volume = float(np.count_nonzero(part.solid) * part.voxel)
+    mass = volume * printer.density / 1000
+    layers = math.ceil(part.solid.shape[0] * part.spacing[0] / printer.layer - 1e-6)
+    seconds = layers * printer.pause + (volume / printer.speed if printer.speed else 0.0)
+    figures = {"volume": volume, "mass": mass, "layers": layers, "hours": seconds / 3600}
+    says = (
+        f"{mass:.3g} g at {printer.density:g} g/cm3, {layers} layers of {printer.layer:g} mm, "
+        f"about {_hours(seconds)} on a typical machine"
+    )
+    return Finding("estimate", "pass", figures, says)
+
+
+def _hours(seconds: float) -> str:
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
 def check_size(part: Part, printer: Printer) -> Finding:

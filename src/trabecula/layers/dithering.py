@@ -1,7 +1,7 @@
 """Mixtures of materials as droplets, each of one material: error diffusion.
 
 The material with the largest share, the errors of its neighbours included, gets the droplet; the
-rest of what was asked for goes to the neighbours that follow (Floyd and Steinberg 1976, Proc. SID
+rest of its share goes to the neighbours that follow (Floyd and Steinberg 1976, Proc. SID
 17, 75), on rows in alternating directions. Random numbers keyed by the
 droplet's place keep layers from repeating each other, so a layer is made alone and always alike.
 """
