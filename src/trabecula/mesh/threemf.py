@@ -5,11 +5,12 @@ from __future__ import annotations
 import io
 import xml.etree.ElementTree as ElementTree
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
+from itertools import cycle
 from pathlib import Path
-from xml.sax.saxutils import escape
+from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from trabecula.mesh.text import NO_UNIT, format_rows, metres, parse_unit, recipe
 _UNITS = {1e-6: "micron", 1e-3: "millimeter", 1e-2: "centimeter", 1.0: "meter"}
 _CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 BEAMS = "{http://schemas.microsoft.com/3dmanufacturing/beamlattice/2017/02}"
+_COLOURS = ("#E8DCC8", "#7A8CA8", "#B0563C", "#5F8F57", "#C8A94A", "#8A6FA8")
 _NO_UNIT_NOTE = "unit unknown: a length of 1 was written as 1 mm"
 _PART = "{http://schemas.microsoft.com/3dmanufacturing/production/2015/06}path"
 _FOOT = 12.0  # inches: the one unit of 3MF that an Image does not know
@@ -47,20 +49,46 @@ Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
 def write(mesh: Mesh, path: Path) -> None:
     """Write `mesh` in its own unit where 3MF has it, else in micrometres; voxels as millimetres."""
     with opened_model(path, mesh.unit, mesh.recipe) as (file, factor):
-        file.write('<object id="1" type="model">\n<mesh>\n<vertices>\n')
-        vertices = mesh.vertices * factor if factor != 1.0 else mesh.vertices
-        file.writelines(format_rows('<vertex x="%.7g" y="%.7g" z="%.7g"/>\n', vertices))
-        file.write("</vertices>\n<triangles>\n")
-        file.writelines(format_rows('<triangle v1="%d" v2="%d" v3="%d"/>\n', mesh.faces))
-        file.write("</triangles>\n</mesh>\n</object>\n")
+        file.write('<object id="1" type="model">\n')
+        _write_triangles(file, mesh, factor)
+        file.write("</object>\n")
+
+
+def write_parts(parts: Mapping[str, Mesh], path: Path) -> None:
+    """Write several meshes of one unit as objects of one part, each with a material of its name."""
+    first = next(iter(parts.values()))
+    ids = range(1, len(parts) + 1)
+    with opened_model(path, first.unit, first.recipe, items=ids) as (file, factor):
+        materials = len(parts) + 1
+        file.write(f'<basematerials id="{materials}">\n')
+        for name, colour in zip(parts, cycle(_COLOURS)):
+            file.write(f"<base name={quoteattr(name)} displaycolor={quoteattr(colour)}/>\n")
+        file.write("</basematerials>\n")
+        for number, (name, mesh) in enumerate(parts.items(), start=1):
+            file.write(
+                f'<object id="{number}" type="model" name={quoteattr(name)} '
+                f'pid="{materials}" pindex="{number - 1}">\n'
+            )
+            _write_triangles(file, mesh, factor)
+            file.write("</object>\n")
+
+
+def _write_triangles(file: io.TextIOWrapper, mesh: Mesh, factor: float) -> None:
+    file.write("<mesh>\n<vertices>\n")
+    vertices = mesh.vertices * factor if factor != 1.0 else mesh.vertices
+    file.writelines(format_rows('<vertex x="%.7g" y="%.7g" z="%.7g"/>\n', vertices))
+    file.write("</vertices>\n<triangles>\n")
+    file.writelines(format_rows('<triangle v1="%d" v2="%d" v3="%d"/>\n', mesh.faces))
+    file.write("</triangles>\n</mesh>\n")
 
 
 @contextmanager
 def opened_model(
-    path: Path, unit: str, recipe: Recipe, extension: str = ""
+    path: Path, unit: str, recipe: Recipe, extension: str = "", items: Sequence[int] = (1,)
 ) -> Iterator[tuple[io.TextIOWrapper, float]]:
-    """Open a package whose model is written: object 1 goes into the file that is yielded, its
-    lengths times the factor; `extension` are further attributes of the model.
+    """Open a package whose model is written: resources go into the file that is yielded, lengths
+    times the factor; `extension` are further attributes of the model, `items` the objects that are
+    printed.
     """
     name, factor = _unit(unit)
     with zipfile.ZipFile(path, "w") as package:
@@ -71,7 +99,8 @@ def opened_model(
             file = io.TextIOWrapper(stream, encoding="utf-8", write_through=True)
             _write_head(file, name, unit, recipe, extension)
             yield file, factor
-            file.write('</resources>\n<build>\n<item objectid="1"/>\n</build>\n</model>\n')
+            printed = "".join(f'<item objectid="{number}"/>\n' for number in items)
+            file.write(f"</resources>\n<build>\n{printed}</build>\n</model>\n")
             file.flush()
             file.detach()
 
