@@ -1,0 +1,166 @@
+"""A low-resolution scan as a constraint: the bounds of its blocks, the field to start from, and what
+the material is at the picture's resolution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trabecula.core.errors import RequestError
+from trabecula.core.image import Image
+from trabecula.core.request import Request
+from trabecula.engine import memmap
+from trabecula.exemplar.segment import otsu
+from trabecula.measure.distance import signed_distance
+from trabecula.synth.kopf.back_projection import BlockBounds, add_shifts
+from trabecula.synth.kopf.change_of_support import Material, refine
+
+_FAR, _MANY = 0.25, 3.0  # a difference of fractions: absolute, and in deviations of slices
+_STEEP = 30000  # votes of a start, before its distances are measured
+_BINS, _AROUND = 256, 5  # of a grey scan's histogram; bins of its running mean
+
+
+@dataclass(frozen=True)
+class CoarseScan:
+    """A scan of two phases.
+
+    Attributes
+    ----------
+    fractions : (z, y, x) float32
+        Of the second phase in each voxel, as far as it is known: 0 or 1 of labels.
+    error : float, optional
+        Of the fractions; None where only the majority is known (labels).
+    sides : three ints
+        Voxels of the result in one of the scan.
+    material : Material
+        At the resolution of the result.
+    """
+
+    fractions: np.ndarray
+    error: float | None
+    sides: tuple[int, int, int]
+    material: Material
+
+    @classmethod
+    def of(cls, request: Request, pictures: Sequence[Image], present: Sequence[int]) -> CoarseScan:
+        """Read the coarse scan of a request.
+
+        Raises
+        ------
+        RequestError
+            More or fewer than two phases; fractions that are not those of the pictures.
+        """
+        image = request.coarse
+        assert image is not None  # checked by the request
+        fractions, error = phase_fractions(image, present)
+        seen = [np.asarray(picture.values == present[1]) for picture in pictures]
+        z, y, x = request.blocks
+        known = None if error is None else float(fractions.mean(dtype=np.float64))
+        material = refine(fractions > 0.5, seen, (z, y, x), known)
+        return cls(fractions, error, (z, y, x), material)
+
+    def divides(self, level: int) -> bool:
+        """Return whether the blocks of the scan are whole voxels of a level."""
+        return not any(side % 2**level for side in self.sides)
+
+    def bounds(self, level: int) -> BlockBounds:
+        """Return how many voxels of each block of a level may be of the second phase."""
+        z, y, x = (side // 2**level for side in self.sides)
+        blocks = (z, y, x)
+        size = int(np.prod(blocks))
+        most = self.fractions > 0.5
+        if self.error is None or size == 1:
+            # more than half, so that a block is never undecided
+            least = np.where(most, size // 2 + 1, 0)
+            upper = np.where(most, size, (size - 1) // 2)
+        else:
+            least = np.floor((self.fractions - self.error) * size).clip(0, size)
+            upper = np.ceil((self.fractions + self.error) * size).clip(0, size)
+        return BlockBounds(least.astype(np.int32), upper.astype(np.int32), blocks)
+
+    def start(self, shape: Sequence[int], level: int) -> np.ndarray:
+        """Return the signed distance (1, Z, Y, X) float32 to the interface of the scan, linear
+        between its voxels' centres, in voxels of a level.
+        """
+        votes = memmap.zeros(shape, np.int16)
+        sides = [side / 2**level for side in self.sides]
+        add_shifts(votes, ((self.fractions - 0.5) * _STEEP).astype(np.float32), sides)
+        inside = votes > 0
+        if inside.all() or not inside.any():
+            return np.where(inside, np.float32(1), np.float32(-1))[None] * np.float32(max(shape))
+        return signed_distance(inside)[None].astype(np.float32, copy=False)
+
+
+def check_scan(request: Request, pictures: Sequence[Image], present: Sequence[int]) -> str:
+    """Return a line where the scan has less or more of a phase than slices of it differ by; empty
+    where it agrees with the pictures.
+
+    Raises
+    ------
+    RequestError
+        More or fewer than two phases; fractions that have nothing in common with the pictures'.
+    """
+    assert request.coarse is not None
+    if len(present) != 2:
+        raise RequestError(
+            f"the exemplar holds {len(present)} phases, a coarse scan is refined for two: merge or "
+            "segment the others"
+        )
+    scan = CoarseScan.of(request, pictures, present)
+    own = np.mean([float((picture.values == present[1]).mean()) for picture in pictures])
+    spread = max(float(scan.fractions.mean(axis=axes).std()) for axes in ((1, 2), (0, 2), (0, 1)))
+    off = abs(own - scan.material.fraction)
+    if off <= max(_MANY * spread, 0.02):
+        return ""
+    name = pictures[0].phases[present[1]]
+    line = (
+        f"the coarse scan's volume fraction of {name} is {scan.material.fraction:.3f} at the "
+        f"resolution of the result, the picture's {own:.3f}; slices of the scan differ by "
+        f"{spread:.3f}"
+    )
+    if off > _FAR:
+        raise RequestError(
+            f"{line}: give a picture of the same material, with phases in the same order"
+        )
+    return f"{line}: is it the same material?"
+
+
+def phase_fractions(image: Image, present: Sequence[int]) -> tuple[np.ndarray, float | None]:
+    """Return the fraction (z, y, x) float32 of the second phase in each voxel, and its error; None
+    for labels, which tell the majority alone.
+
+    Grey values are partial volumes: fractions are linear between the peaks of the two phases, the
+    darker one first. The error is the scatter of the values beyond the peaks, where no partial
+    volume is.
+    """
+    if image.kind == "labels":
+        strange = np.setdiff1d(np.unique(image.values), present)
+        if len(strange):
+            names = ", ".join(image.phases[label] for label in strange)
+            raise RequestError(
+                f"the coarse scan holds the phase {names}, which the picture lacks: give a picture "
+                "with it"
+            )
+        return (image.values == present[1]).astype(np.float32), None
+    values = image.values.astype(np.float64)
+    dark, bright = _peaks(values)
+    beyond = np.concatenate([dark - values[values < dark], values[values > bright] - bright])
+    noise = float(np.sqrt((beyond**2).mean())) if beyond.size else 0.0
+    fractions = np.clip((values - dark) / (bright - dark), 0, 1)
+    return fractions.astype(np.float32), noise / (bright - dark)
+
+
+def _peaks(values: np.ndarray) -> tuple[float, float]:
+    """Return the grey value that is most frequent on either side of Otsu's threshold."""
+    threshold = otsu(values)[0]
+    counts, edges = np.histogram(values, bins=_BINS)
+    smooth = np.convolve(counts, np.ones(_AROUND), mode="same")
+    middle = (edges[:-1] + edges[1:]) / 2
+    dark = middle <= threshold
+    return (
+        float(middle[dark][np.argmax(smooth[dark])]),
+        float(middle[~dark][np.argmax(smooth[~dark])]),
+    )
