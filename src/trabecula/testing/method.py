@@ -371,6 +371,11 @@ def _parts(case: MethodCase) -> dict[str, dict[str, Any]]:
         fixed = Image(values, **case.model.fields(case.request()))
         held = np.broadcast_to(np.arange(SHAPE[0])[:, None, None] < 6, SHAPE).copy()
         parts["fixed"] = {"fixed": fixed, "known": held}
+    if "coarse" in told.honours:
+        blocks = case.material.values.reshape(*(n for side in SHAPE for n in (side // 2, 2)))
+        share = (blocks != case.model.facts[0].empty_label).mean(axis=(1, 3, 5))
+        phases = case.material.phases
+        parts["coarse"] = {"coarse": Image((share > 0.5).astype(np.uint8), "labels", phases=phases)}
     return parts
 
 
@@ -523,6 +528,9 @@ def _check_refused_parts(case: MethodCase) -> None:
         "target": {"target": {"porosity": np.full(SHAPE, 0.5)}},
         "fixed": {"fixed": Image(np.zeros(SHAPE, np.uint8), "labels"), "known": first},
     }
+    halves = np.zeros([side // 2 for side in SHAPE], np.uint8)
+    halves[::2] = 1
+    parts["coarse"] = {"coarse": Image(halves, "labels")}
     for part, words in parts.items():
         if part not in case.capabilities.honours:
             with raises(RequestError, part, f"{part} should be refused"):

@@ -163,7 +163,7 @@ def settle_blocks(values, votes, least, most, sides, changed, start, stop):
         for j in range(least.shape[1]):
             for i in range(least.shape[2]):
                 z0, y0, x0 = k * sides[0], j * sides[1], i * sides[2]
-                inside = 0
+                inside = np.int64(0)
                 for z in range(z0, z0 + sides[0]):
                     for y in range(y0, y0 + sides[1]):
                         for x in range(x0, x0 + sides[2]):

@@ -83,12 +83,25 @@ def equivalent_side(picture: np.ndarray, sides: Sequence[int]) -> int:
     """Return the side of squares whose means vary as those of blocks of `sides` do in a material
     that looks like the picture from everywhere.
     """
-    longest = min(min(picture.shape) // 2, int(np.ceil(np.sqrt(3) * max(sides))))
-    phi = float(picture.mean())
-    curve = two_point(picture.astype(np.uint8), r_max=max(1, longest), phase=1) - phi**2
+    curve = _covariance(picture, sides)
     wanted = block_variance(curve, sides)
-    candidates = range(1, max(1, longest) + 1)
+    candidates = range(1, len(curve))
     return min(candidates, key=lambda side: abs(block_variance(curve, (side, side)) - wanted))
+
+
+def variance_share(pictures: Sequence[np.ndarray], sides: Sequence[int]) -> float:
+    """Return the variance of means over blocks, as a share of phi (1 - phi)."""
+    shares = [
+        block_variance(_covariance(one, sides), sides) / _spread(float(one.mean()))
+        for one in pictures
+    ]
+    return float(np.mean(shares))
+
+
+def _covariance(picture: np.ndarray, sides: Sequence[int]) -> np.ndarray:
+    """Return the covariance of a picture, as far as the squares reach that stand for blocks."""
+    longest = max(1, min(min(picture.shape) // 2, int(np.ceil(np.sqrt(3) * max(sides)))))
+    return two_point(picture.astype(np.uint8), r_max=longest, phase=1) - float(picture.mean()) ** 2
 
 
 def block_variance(covariance: np.ndarray, sides: Sequence[int]) -> float:
