@@ -1,8 +1,9 @@
-"""A scan that is down-sampled, and one slice of another part of it: what comes back of the volume."""
+"""A scan that is down-sampled, and a slice of another part of it: what comes back of the volume."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 
@@ -47,8 +48,8 @@ def fusion() -> None:
         model = tb.method("kopf").fit(picture)
         for words, coarse, middle in (("labels", labels, 0.5), ("grey", grey, 120.0)):
             jobs: dict[str, Callable[[], tb.Image]] = {
-                "linear": lambda c=coarse, m=middle: interpolate(c, m, truth.phases),
-                "kopf": lambda c=coarse: model.generate(truth.shape, coarse=c, seed=0),
+                "linear": partial(interpolate, coarse, middle, truth.phases),
+                "kopf": partial(model.generate, truth.shape, coarse=coarse, seed=0),
             }
             for by, job in jobs.items():
                 seconds, made = timed(job)

@@ -341,7 +341,7 @@ BAD = [
     (("--shape", 20, "--coarse", "known.tif"), "is no whole multiple of the coarse scan's"),
     (("--coarse", "known.tif"), "add --shape, a whole multiple of 28 28 28"),
     (("--shape", 56, "--coarse", "known.tif", "--periodic"), "coarse beside periodic"),
-    (("--shape", 56, "--coarse", "full.npy"), "the coarse scan holds one value only"),
+    (("--shape", 60, "--coarse", "full.npy"), "the coarse scan holds one value only"),
     (("--shape", 56, "--coarse", "known.tif"), "cannot honour coarse"),
     (("--shape", 20, "--periodic", "w"), "--periodic w: name axes among z, y, x"),
     (("--shape", 20, "--periodic", "z", "other.zarr"), "a file comes before --periodic"),

@@ -51,7 +51,9 @@ def test_a_coarse_scan_is_an_image_with_interfaces_and_stands_alone():
     ):
         with pytest.raises(InputError, match=says):
             tb.Request(4, coarse=coarse)
-    with pytest.raises(RequestError, match="coarse beside periodic, target: .* leave out periodic"):
+    with pytest.raises(
+        RequestError, match=r"coarse beside periodic, target: .* leave out periodic"
+    ):
         tb.Request(4, coarse=halves(), periodic=True, target={"porosity": 0.5})
 
 

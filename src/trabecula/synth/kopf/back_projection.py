@@ -168,15 +168,15 @@ def settle_blocks(values, votes, least, most, sides, changed, start, stop):
                     for y in range(y0, y0 + sides[1]):
                         for x in range(x0, x0 + sides[2]):
                             inside += values[z, y, x]
-                missing = max(0, least[k, j, i] - inside) - max(0, inside - most[k, j, i])
-                wanted = missing > 0
-                for _ in range(max(missing, -missing)):
-                    best, bz, by, bx = 1 << 30, -1, -1, -1
+                few, many = least[k, j, i] - inside, inside - most[k, j, i]
+                wanted = few > 0
+                for _ in range(max(few, many)):
+                    best, bz, by, bx = np.int64(1 << 30), -1, -1, -1
                     for z in range(z0, z0 + sides[0]):
                         for y in range(y0, y0 + sides[1]):
                             for x in range(x0, x0 + sides[2]):
                                 if values[z, y, x] != wanted:
-                                    cost = -votes[z, y, x] if wanted else np.int32(votes[z, y, x])
+                                    cost = np.int64(-votes[z, y, x] if wanted else votes[z, y, x])
                                     if cost < best:
                                         best, bz, by, bx = cost, z, y, x
                     values[bz, by, bx] = wanted

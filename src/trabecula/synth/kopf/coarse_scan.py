@@ -20,7 +20,7 @@ from trabecula.synth.kopf.change_of_support import Material, refine, variance_sh
 _FAR, _MANY = 0.25, 3.0  # a difference of fractions: absolute, and in deviations of slices
 _WITHIN, _PURE = 2.0, 3.0  # errors: of a fraction's bounds; of one that may be 0 or 1
 _STEEP = 30000  # votes of a start, before its distances are measured
-_BINS, _AROUND = 256, 21  # of a grey scan's histogram; bins of its running mean
+_BINS, _AROUND = 256, 21  # of a grey scan's histogram; the least of them in a running mean
 _SHARP = 0.5  # times the deviation of all grey values, the most that a pure phase scatters
 _BLIND = 0.05  # error of fractions where no voxel tells the noise
 
@@ -63,7 +63,9 @@ class CoarseScan:
             fractions, error = label_fractions(image, present), None
         else:
             fractions, error = grey_fractions(
-                image.values, variance_share(seen, (z, y, x)), float(np.mean([one.mean() for one in seen]))
+                image.values,
+                variance_share(seen, (z, y, x)),
+                float(np.mean([one.mean() for one in seen])),
             )
         # before it is cut to 0 .. 1, where noise would be counted on one side alone
         known = None if error is None else float(fractions.mean(dtype=np.float64))
@@ -89,7 +91,9 @@ class CoarseScan:
             # what may be one phase alone with noise is let be: else noise becomes crumbs
             off, pure = _WITHIN * self.error, _PURE * self.error
             least = np.where(self.fractions < pure, 0, np.floor((self.fractions - off) * size))
-            upper = np.where(1 - self.fractions < pure, size, np.ceil((self.fractions + off) * size))
+            upper = np.where(
+                1 - self.fractions < pure, size, np.ceil((self.fractions + off) * size)
+            )
             least, upper = least.clip(0, size), upper.clip(0, size)
         return BlockBounds(least.astype(np.int32), upper.astype(np.int32), blocks)
 
@@ -165,12 +169,10 @@ def grey_fractions(values: np.ndarray, share: float, phi: float) -> tuple[np.nda
     those of the picture, of fraction `phi`.
     """
     grey = values.astype(np.float64)
-    counts, edges = np.histogram(grey, bins=_BINS)
-    peak = int(np.argmax(np.convolve(counts, np.bartlett(_AROUND), mode="same")))
-    pure = float(edges[peak] + edges[peak + 1]) / 2
+    pure, noise = _peak(grey, 0.0)
+    pure, noise = _peak(grey, noise)
     sign = 1 if grey.mean() > pure else -1
     away = sign * (grey - pure)
-    noise = float(np.sqrt((away[away < 0] ** 2).mean())) if (away < 0).any() else 0.0
     if noise > _SHARP * grey.std():
         length = float(np.sqrt(grey.var() / (share * phi * (1 - phi))))
         return ((grey - grey.mean()) / length + phi).astype(np.float32), _BLIND
@@ -178,3 +180,15 @@ def grey_fractions(values: np.ndarray, share: float, phi: float) -> tuple[np.nda
     fractions = away / (mean + (float(grey.var()) - noise**2) / (mean * share))
     error = noise * float(fractions.max() / away.max())
     return (fractions if sign > 0 else 1 - fractions).astype(np.float32), error
+
+
+def _peak(grey: np.ndarray, noise: float) -> tuple[float, float]:
+    """Return the most frequent grey value, of a histogram that is smoothed as wide as the noise is
+    at least, and the noise: the scatter beyond it, on the side away from the mean.
+    """
+    counts, edges = np.histogram(grey, bins=_BINS)
+    wide = max(_AROUND, 2 * round(2 * noise / (edges[1] - edges[0])) + 1)
+    peak = int(np.argmax(np.convolve(counts, np.bartlett(min(wide, _BINS)), mode="same")))
+    pure = float(edges[peak] + edges[peak + 1]) / 2
+    away = (grey - pure) * (1 if grey.mean() > pure else -1)
+    return pure, float(np.sqrt((away[away < 0] ** 2).mean())) if (away < 0).any() else 0.0
