@@ -20,7 +20,7 @@ from trabecula.synth.kopf.change_of_support import Material, refine, variance_sh
 _FAR, _MANY = 0.25, 3.0  # a difference of fractions: absolute, and in deviations of slices
 _WITHIN, _PURE = 2.0, 3.0  # errors: of a fraction's bounds; of one that may be 0 or 1
 _STEEP = 30000  # votes of a start, before its distances are measured
-_BINS, _AROUND = 256, 21  # of a grey scan's histogram; the least of them in a running mean
+_BINS, _AROUND, _FIT = 256, 21, 6  # of a histogram; of them in a running mean, in a parabola
 _SHARP = 0.5  # times the deviation of all grey values, the most that a pure phase scatters
 _BLIND = 0.05  # error of fractions where no voxel tells the noise
 
@@ -183,12 +183,31 @@ def grey_fractions(values: np.ndarray, share: float, phi: float) -> tuple[np.nda
 
 
 def _peak(grey: np.ndarray, noise: float) -> tuple[float, float]:
-    """Return the most frequent grey value, of a histogram that is smoothed as wide as the noise is
-    at least, and the noise: the scatter beyond it, on the side away from the mean.
+    """Return the most frequent grey value, and the noise: the scatter beyond it, on the side away
+    from the mean.
+
+    The histogram is smoothed as wide as the `noise` is at least. Where that is known the peak is the
+    top of a parabola through the logarithms of the counts around it and beyond: a Gaussian's, on
+    which partial volumes hardly weigh.
     """
-    counts, edges = np.histogram(grey, bins=_BINS)
-    wide = max(_AROUND, 2 * round(2 * noise / (edges[1] - edges[0])) + 1)
-    peak = int(np.argmax(np.convolve(counts, np.bartlett(min(wide, _BINS)), mode="same")))
-    pure = float(edges[peak] + edges[peak + 1]) / 2
-    away = (grey - pure) * (1 if grey.mean() > pure else -1)
-    return pure, float(np.sqrt((away[away < 0] ** 2).mean())) if (away < 0).any() else 0.0
+    low, high = float(grey.min()), float(grey.max())
+    step = max(1.0, np.ceil((high - low) / _BINS)) if _is_whole(grey) else (high - low) / _BINS
+    edges = np.arange(low - step / 2, high + step, step)
+    counts, middle = np.histogram(grey, bins=edges)[0], (edges[:-1] + edges[1:]) / 2
+    wide = max(_AROUND, 2 * round(2 * noise / step) + 1)
+    pure = float(
+        middle[np.argmax(np.convolve(counts, np.bartlett(wide), mode="same")[: len(counts)])]
+    )
+    outward = 1 if grey.mean() < pure else -1
+    place = (middle - pure) * outward
+    near = (place > -0.5 * noise) & (place < 2 * noise) & (counts > 0)
+    if near.sum() >= _FIT:
+        square, slope, _ = np.polyfit(place[near], np.log(counts[near]), 2, w=np.sqrt(counts[near]))
+        if square < 0 and abs(slope / square) < noise:
+            pure -= outward * float(slope / (2 * square))
+    away = (grey - pure) * outward
+    return pure, float(np.sqrt((away[away > 0] ** 2).mean())) if (away > 0).any() else 0.0
+
+
+def _is_whole(grey: np.ndarray) -> bool:
+    return bool((grey == np.rint(grey)).all())
