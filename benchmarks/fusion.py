@@ -32,8 +32,8 @@ def fusion() -> None:
     `linear` cuts the labels (of grey: the values) at their middle, linear between voxels' centres.
     `voxels` is the share of coarse voxels that come out when the result is down-sampled, of grey
     ones within three deviations of the noise; S2 the relative l2 of the two-point function over r =
-    0 .. 32; all but these and the seconds are ratios to the scan's. D is the diffusivity, k the permeability, both the mean of three axes; - where
-    the phase does not percolate.
+    0 .. 32; all but these and the seconds are ratios to the scan's. D is the diffusivity, k the
+    permeability, both the mean of three axes; - where the scan's phase does not percolate.
     """
     heads = ("voxels", "S2", "porosity", "surface", "Euler", "thickness", "D void", "D solid", "k")
     row = table("scan, coarse, by", *heads, "s", wide=34)

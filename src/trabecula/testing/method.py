@@ -372,10 +372,10 @@ def _parts(case: MethodCase) -> dict[str, dict[str, Any]]:
         held = np.broadcast_to(np.arange(SHAPE[0])[:, None, None] < 6, SHAPE).copy()
         parts["fixed"] = {"fixed": fixed, "known": held}
     if "coarse" in told.honours:
-        blocks = case.material.values.reshape(*(n for side in SHAPE for n in (side // 2, 2)))
-        share = (blocks != case.model.facts[0].empty_label).mean(axis=(1, 3, 5))
-        phases = case.material.phases
-        parts["coarse"] = {"coarse": Image((share > 0.5).astype(np.uint8), "labels", phases=phases)}
+        solid = case.material.values != case.model.facts[0].empty_label
+        most = (solid[::2, ::2].astype(int) + solid[1::2, ::2] + solid[::2, 1::2]) > 1
+        coarse = Image(most.astype(np.uint8), "labels", phases=case.material.phases)
+        parts["coarse"] = {"coarse": coarse}
     return parts
 
 
@@ -528,9 +528,8 @@ def _check_refused_parts(case: MethodCase) -> None:
         "target": {"target": {"porosity": np.full(SHAPE, 0.5)}},
         "fixed": {"fixed": Image(np.zeros(SHAPE, np.uint8), "labels"), "known": first},
     }
-    halves = np.zeros([side // 2 for side in SHAPE], np.uint8)
-    halves[::2] = 1
-    parts["coarse"] = {"coarse": Image(halves, "labels")}
+    halves = np.arange(SHAPE[2]) % 2 * np.ones((SHAPE[0] // 2, SHAPE[1] // 2, 1))
+    parts["coarse"] = {"coarse": Image(halves.astype(np.uint8), "labels")}
     for part, words in parts.items():
         if part not in case.capabilities.honours:
             with raises(RequestError, part, f"{part} should be refused"):

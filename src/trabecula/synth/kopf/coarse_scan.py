@@ -21,6 +21,7 @@ _FAR, _MANY = 0.25, 3.0  # a difference of fractions: absolute, and in deviation
 _WITHIN, _PURE = 2.0, 3.0  # errors: of a fraction's bounds; of one that may be 0 or 1
 _STEEP = 30000  # votes of a start, before its distances are measured
 _BINS, _AROUND, _FIT = 256, 21, 6  # of a histogram; of them in a running mean, in a parabola
+_LEAST = 1e-3  # of a fraction that grey values tell
 _SHARP = 0.5  # times the deviation of all grey values, the most that a pure phase scatters
 _BLIND = 0.05  # error of fractions where no voxel tells the noise
 
@@ -68,7 +69,8 @@ class CoarseScan:
                 float(np.mean([one.mean() for one in seen])),
             )
         # before it is cut to 0 .. 1, where noise would be counted on one side alone
-        known = None if error is None else float(fractions.mean(dtype=np.float64))
+        mean = float(fractions.mean(dtype=np.float64))
+        known = None if error is None else min(max(mean, _LEAST), 1 - _LEAST)
         fractions = fractions.clip(0, 1)
         material = refine(fractions > 0.5, seen, (z, y, x), known)
         return cls(fractions, error, (z, y, x), material)
@@ -186,9 +188,9 @@ def _peak(grey: np.ndarray, noise: float) -> tuple[float, float]:
     """Return the most frequent grey value, and the noise: the scatter beyond it, on the side away
     from the mean.
 
-    The histogram is smoothed as wide as the `noise` is at least. Where that is known the peak is the
-    top of a parabola through the logarithms of the counts around it and beyond: a Gaussian's, on
-    which partial volumes hardly weigh.
+    The histogram is smoothed as wide as the `noise` is at least. Where that is known, the peak is
+    the top of a parabola through the logarithms of the counts around it and beyond: a Gaussian's,
+    on which partial volumes hardly weigh.
     """
     low, high = float(grey.min()), float(grey.max())
     step = max(1.0, np.ceil((high - low) / _BINS)) if _is_whole(grey) else (high - low) / _BINS
