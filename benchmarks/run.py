@@ -92,6 +92,7 @@ CASES: dict[str, Callable[[], None]] = {
     "image_truth": image_truth.image_truth,
     "image_speed": image_speed.image_speed,
     "fusion": fusion.fusion,
+    "fusion_slices": fusion.fusion_slices,
     "graded_lattice": graded.graded_lattice,
     "graded_cells": graded.graded_cells,
     "graded_section": graded.graded_section,
