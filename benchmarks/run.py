@@ -24,6 +24,7 @@ import bubbles_fit
 import ensemble_rates
 import ensembles
 import evenness
+import fusion
 import gan
 import gan_ablation
 import graded
@@ -91,6 +92,8 @@ CASES: dict[str, Callable[[], None]] = {
     "image_paper": image_paper.image_paper,
     "image_truth": image_truth.image_truth,
     "image_speed": image_speed.image_speed,
+    "fusion": fusion.fusion,
+    "fusion_slices": fusion.fusion_slices,
     "graded_lattice": graded.graded_lattice,
     "graded_cells": graded.graded_cells,
     "graded_section": graded.graded_section,

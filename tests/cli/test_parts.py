@@ -188,6 +188,23 @@ def test_a_hole_is_repaired_where_nothing_is_known(place):
 
 
 @pytest.mark.whole
+def test_a_coarse_scan_and_a_picture_make_a_volume_that_is_made_again(place):
+    rock = tb.Image(np.kron(ball(9), np.ones((1, 2, 2), bool)).astype(np.uint8), "labels", 8, "um")
+    tb.write(rock, "coarse.tif")
+    values = np.kron([[0, 1, 0], [1, 0, 1]], np.ones((9, 9))).astype(np.uint8)
+    tb.write(tb.Image(np.roll(values, 3), "labels", 2, "um"), "fine.tif")
+    words = ("--method", "kopf", "--set", "first_rounds=2", "--set", "rounds=[2]")
+    output = trabecula("generate", "fine.tif", *words, "--coarse", "coarse.tif", "--out", "f.tif")
+    made = tb.read("f.tif")
+    assert made.shape == (36, 72, 72) and made.spacing == (2, 2, 2)
+    share = made.values.reshape(9, 4, 18, 4, 18, 4).mean(axis=(1, 3, 5))
+    np.testing.assert_array_equal(share > 0.5, rock.values > 0)
+    (place / "coarse.tif").rename(place / "low.tif")
+    assert "give its place with --coarse" in refused("rerun", "f.tif")
+    assert trabecula("rerun", "f.tif", "--coarse", "low.tif").sha256 == output.sha256
+
+
+@pytest.mark.whole
 def test_a_grey_scan_is_fixed_at_the_exemplars_threshold(place):
     rng = np.random.default_rng(0)
     solid = tb.read("scan.zarr").values
@@ -321,6 +338,11 @@ BAD = [
         ("--shape", 28, 28, 40, "--periodic", "--fixed", "scan.zarr", "--at", 0, 0, 0),
         "periodic with a fixed border: known voxels lie at both ends of z",
     ),
+    (("--shape", 20, "--coarse", "known.tif"), "is no whole multiple of the coarse scan's"),
+    (("--coarse", "known.tif"), "add --shape, a whole multiple of 28 28 28"),
+    (("--shape", 56, "--coarse", "known.tif", "--periodic"), "coarse beside periodic"),
+    (("--shape", 60, "--coarse", "full.npy"), "the coarse scan holds one value only"),
+    (("--shape", 56, "--coarse", "known.tif"), "cannot honour coarse"),
     (("--shape", 20, "--periodic", "w"), "--periodic w: name axes among z, y, x"),
     (("--shape", 20, "--periodic", "z", "other.zarr"), "a file comes before --periodic"),
     ((), "the size of the result is not given: add --shape N"),

@@ -22,6 +22,41 @@ def solid(shape=(4, 4, 4), **fields):
     return tb.Image(np.ones(shape, np.uint8), "labels", **fields)
 
 
+def halves(shape=(2, 2, 2), **fields):
+    """A coarse scan, its first plane solid."""
+    values = np.zeros(shape, np.uint8)
+    values[0] = 1
+    return tb.Image(values, "labels", **fields)
+
+
+def test_a_coarse_scan_is_a_whole_fraction_of_the_shape():
+    request = tb.Request((4, 6, 8), coarse=halves((2, 2, 4)))
+    assert request.blocks == (2, 3, 2) and tb.Request(4).blocks == (1, 1, 1)
+    assert request.to_json()["coarse"][-1]["verb"] == "array"
+    for shape, coarse, says in (
+        ((9, 6, 8), halves((2, 3, 4)), r"the nearest is \(8, 6, 8\) \(4 x 2 x 2 voxels in one\)"),
+        (1, halves(), r"no whole multiple of the coarse scan's \(2, 2, 2\): the nearest is \(2, 2"),
+        (2, halves(), r"as many voxels as the request: ask for a multiple of it, such as \(4, 4"),
+    ):
+        with pytest.raises(RequestError, match=says):
+            tb.Request(shape, coarse=coarse)
+
+
+def test_a_coarse_scan_is_an_image_with_interfaces_and_stands_alone():
+    for coarse, says in (
+        (np.ones((2, 2, 2), np.uint8), "coarse is a plain ndarray"),
+        (solid((2, 2, 2)), "one value only, and no interface"),
+        (tb.Image(np.zeros((2, 2, 2, 3), np.uint8), "colour"), "the coarse scan is colour"),
+        (tb.Image(np.eye(2, dtype=np.uint8), "labels"), r"labels of shape \(2, 2\)"),
+    ):
+        with pytest.raises(InputError, match=says):
+            tb.Request(4, coarse=coarse)
+    with pytest.raises(
+        RequestError, match=r"coarse beside periodic, target: .* leave out periodic"
+    ):
+        tb.Request(4, coarse=halves(), periodic=True, target={"porosity": 0.5})
+
+
 def test_a_cube_and_defaults():
     request = tb.Request(5)
     assert request.shape == (5, 5, 5) and request.seed == 0 and request.periodic == (False,) * 3
@@ -45,6 +80,8 @@ def test_parts_in_use_are_named():
     assert full.asks_for() == {"periodic", "mask", "target", "fixed"}
     assert tb.Request(4, fixed=solid(), known=half()).asks_for() == {"fixed"}
     assert tb.Request(2, target={}).asks_for() == frozenset()
+    assert tb.Request(4, coarse=halves()).asks_for() == {"coarse"}
+    assert tb.Request(4, coarse=halves()).is_tied
 
 
 def test_the_shape_may_be_that_of_the_mask():

@@ -295,7 +295,8 @@ def test_the_identity_of_a_run_holds_every_part_of_the_request():
     parts = [
         {}, {"seed": 1}, {"periodic": True}, {"mask": mask}, {"target": {"porosity": 0.5}},
         {"target": {"porosity": 0.6}}, {"fixed": fixed, "known": known},
-        {"fixed": fixed, "known": ~known},
+        {"fixed": fixed, "known": ~known}, {"coarse": tb.Image(fixed.values[:4, :4, :4], "labels")},
+        {"coarse": tb.Image(1 - fixed.values[:4, :4, :4], "labels")},
     ]  # fmt: skip
     found = {identity_of("noise", {}, tb.Request(8, **each), []) for each in parts}
     found |= {identity_of("noise", {"reach": 4}, tb.Request(8), [])}

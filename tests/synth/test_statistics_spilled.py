@@ -14,6 +14,7 @@ from trabecula.engine.memory import check_releases
 from trabecula.synth.shared.content.fields import FULL, noise, votes_of
 from trabecula.synth.shared.content.kinds import Labels
 from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.specks import remove_specks
 from trabecula.synth.shared.statistics.pairs import Pairs
 from trabecula.synth.shared.statistics.sliced import (
     transport_neighbourhoods,
@@ -27,7 +28,6 @@ from trabecula.synth.shared.statistics.two_point_steps import (
     two_point_step,
 )
 from trabecula.synth.sliced import run
-from trabecula.synth.sliced.method import remove_specks
 from trabecula.synth.sliced.run import regions_around_known
 from trabecula.synth.sliced.steps import distance_stages, distance_step, slope
 from trabecula.synth.texture import novel_layout

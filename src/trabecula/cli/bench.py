@@ -11,10 +11,10 @@ from pathlib import Path
 from trabecula.core.errors import InputError
 
 _PARTS = {
-    "only": "of the cases named image: exemplars by name (default: all)",
+    "only": "of the cases named image and fusion: exemplars by name (default: all)",
     "methods": "of the cases named image: methods, with a preset as in mrf:fast; of those named "
     "big: methods (default: all)",
-    "side": "of the cases named image and big: voxels a side of what is made",
+    "side": "of the cases named image, fusion and big: voxels a side of what is made",
 }
 
 

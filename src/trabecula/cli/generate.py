@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="instead of all else: resume the interrupted run that makes FILE; what it started "
         "from is looked for "
-        "where it was, or given with --exemplar, --model, --mask, --fixed, --known",
+        "where it was, or given with --exemplar, --model, --mask, --fixed, --known, --coarse",
     )
     group.add_argument(
         "--exemplar",
@@ -92,7 +92,7 @@ def add_request(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="N",
         help="voxels: one number (a cube), z y x, or y x of a picture (default: that of --mask, "
-        "--fixed)",
+        "--fixed, or of --coarse at the exemplar's spacing)",
     )
     parser.add_argument("--seed", help="0 .. 2**63 - 1 (default 0)")
     shared.add_settings(parser)
@@ -142,7 +142,7 @@ def prepare(options: argparse.Namespace) -> GenerateTask:
     from trabecula.synth.api.exemplar_info import without_exemplar
 
     chosen, model = _source(options)
-    if options.shape is None and options.mask is None and options.fixed is None:
+    if all(getattr(options, name) is None for name in ("shape", "mask", "fixed", "coarse")):
         raise InputError(
             "the size of the result is not given: add --shape N, or --shape Z Y X (or a --mask)"
         )
@@ -159,8 +159,10 @@ def prepare(options: argparse.Namespace) -> GenerateTask:
     voxel = _voxel(options) if chosen and exemplars is None else {}
     known = exemplars or ([without_exemplar(**voxel)] if model is None else list(model.facts))
     parts = shared.load_parts(options, known, shape, getattr((chosen or model).config, "views", ()))
+    refined = parts.pop("shape", None)
     if shape is None:
-        shape = (parts["mask"] if "mask" in parts else parts["fixed"]).shape
+        named = next((parts[name] for name in ("mask", "fixed") if name in parts), None)
+        shape = refined if named is None else named.shape
     request = Request(shape, seed=seed, periodic=periodic, **parts)
     return GenerateTask(request, chosen, exemplars, voxel, model, recommended)
 
@@ -342,7 +344,7 @@ def _generate_members(options: argparse.Namespace) -> int:
     return 0
 
 
-_MOVED = ("exemplar", "mask", "fixed", "known", "model")
+_MOVED = ("exemplar", "mask", "fixed", "known", "coarse", "model")
 
 
 def _resume(options: argparse.Namespace) -> Any:

@@ -150,6 +150,12 @@ def add_parts(parser: argparse.ArgumentParser) -> None:
         "xy, xz or yz",
     )
     group.add_argument(
+        "--coarse",
+        metavar="FILE",
+        help="low-resolution scan (labels, or grey: partial volumes) that the result is to be when "
+        "it is down-sampled; the exemplar is a picture at the result's resolution",
+    )
+    group.add_argument(
         "--target",
         action="append",
         default=[],
@@ -180,10 +186,16 @@ def load_parts(
     shape: tuple[int, ...] | None,
     views: Any = (),
 ) -> dict[str, Any]:
-    """Load mask, fixed, known and target of a request from their files; `views` are the planes of
-    pictures.
+    """Load mask, fixed, known, coarse and target of a request from their files; `views` are the
+    planes of pictures. Where a coarse scan alone says the shape, that is returned as "shape".
     """
-    from trabecula.pipeline.inputs import load_fixed, load_mask, voxels_of
+    from trabecula.pipeline.inputs import (
+        load_coarse,
+        load_fixed,
+        load_mask,
+        refined_shape,
+        voxels_of,
+    )
 
     found: dict[str, Any] = {"target": load_targets(options.target)}
     exemplar = exemplars[0]
@@ -215,6 +227,11 @@ def load_parts(
         raise InputError(
             "--known, --at and --view say where --fixed lies: give --fixed FILE as well"
         )
+    if options.coarse is not None:
+        found["coarse"] = load_coarse(options.coarse, exemplar)
+        if shape is None:
+            edges = voxels_of(exemplars, views)
+            found["shape"] = refined_shape(found["coarse"], edges, exemplar.unit)
     return found
 
 

@@ -17,6 +17,7 @@ from trabecula.core.recipe import Recipe
 from trabecula.core.target import Target, as_target, origins_of
 
 _AXES = "zyx"
+_IMAGES = ("mask", "fixed", "known", "coarse")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +52,15 @@ class Request:
     known : (Z, Y, X) bool array or Image of labels, optional
         Where `fixed` holds measured voxels: some, but not all. Needed with `fixed`. Kept as a bool
         array.
+    coarse : Image of labels or grey, (Z / a, Y / b, X / c), optional
+        A scan of the same place at a low resolution, a x b x c voxels of the result in each of its
+        own: down-sampled, the result is to be this scan. It stands beside shape and seed alone.
 
     Attributes
     ----------
     origins : mapping of str to Recipe
-        How mask, fixed and known came to be, for the recipe of the result; fields of `target` as
-        "target.NAME".
+        How mask, fixed, known and coarse came to be, for the recipe of the result; fields of
+        `target` as "target.NAME".
     voxel : (tuple of float, str), optional
         Spacing and unit of a mask that is an Image and states them.
 
@@ -68,7 +72,8 @@ class Request:
     UnknownNameError
         A descriptor that cannot be a target.
     RequestError
-        Parts that contradict each other: known voxels at both ends of a periodic axis.
+        Parts that contradict each other: known voxels at both ends of a periodic axis; a shape that
+        is no whole multiple of a coarse scan's, or another part beside one.
 
     Examples
     --------
@@ -87,13 +92,14 @@ class Request:
     target: Mapping[str, Target] = field(default_factory=dict)
     fixed: Image | None = None
     known: np.ndarray | None = None
+    coarse: Image | None = None
     origins: Mapping[str, Recipe] = field(init=False, repr=False, default_factory=dict)
     voxel: tuple[tuple[float, ...], str] | None = field(init=False, default=None)
 
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        origins = {name: _origin(getattr(self, name)) for name in ("mask", "fixed", "known")}
+        origins = {name: _origin(getattr(self, name)) for name in _IMAGES}
         origins |= {f"target.{name}": recipe for name, recipe in origins_of(self.target).items()}
         object.__setattr__(
             self,
@@ -118,18 +124,30 @@ class Request:
         object.__setattr__(self, "target", as_target(self.target, self.shape))
         _check_mask(self.mask, self.shape)
         _check_fixed(self)
+        _check_coarse(self)
 
     def asks_for(self) -> frozenset[str]:
         """Return the optional parts of the request that are in use."""
         used = {"periodic": any(self.periodic), "mask": self.mask is not None}
         used |= {"target": bool(self.target), "fixed": self.fixed is not None}
+        used |= {"coarse": self.coarse is not None}
         return frozenset(name for name, asked in used.items() if asked)
 
     @property
     def is_tied(self) -> bool:
         """Return whether a part of the request is tied to its shape: voxels or a field."""
         fields = any(isinstance(value, np.ndarray) for value in self.target.values())
-        return fields or self.mask is not None or self.fixed is not None
+        held = (self.mask, self.fixed, self.coarse)
+        return fields or any(part is not None for part in held)
+
+    @property
+    def blocks(self) -> tuple[int, ...]:
+        """Return the voxels of the result in one of the coarse scan's, along each axis; 1 without
+        one.
+        """
+        if self.coarse is None:
+            return (1,) * len(self.shape)
+        return tuple(s // c for s, c in zip(self.shape, self.coarse.shape, strict=True))
 
     def to_json(self) -> dict[str, Any]:
         """Return the request as a result's recipe holds it: plain values, and for its arrays their
@@ -151,7 +169,8 @@ class Request:
 def check_exemplar(
     request: Request, exemplar: Image, *, spacing: Sequence[float] | None = None
 ) -> None:
-    """Raise where the fixed voxels of a request are not of the exemplar's material.
+    """Raise where the fixed voxels or the coarse scan of a request are not of the exemplar's
+    material.
 
     Parameters
     ----------
@@ -165,6 +184,7 @@ def check_exemplar(
     RequestError
         Another kind, other phases or other voxels than the exemplar's.
     """
+    _check_coarse_scan(request, exemplar, spacing or exemplar.spacing)
     fixed = request.fixed
     if fixed is None or request.known is None:
         return
@@ -198,6 +218,32 @@ def check_exemplar(
         raise RequestError(
             f"the fixed voxels hold the phase {names}, which the exemplar lacks: give an exemplar "
             "with it"
+        )
+
+
+def _check_coarse_scan(request: Request, exemplar: Image, spacing: Sequence[float]) -> None:
+    coarse = request.coarse
+    if coarse is None:
+        return
+    if exemplar.kind != "labels":
+        raise RequestError(
+            f"the exemplar is {exemplar.kind}: a coarse scan is refined from a picture of labels; "
+            "segment it (--threshold)"
+        )
+    if coarse.kind == "labels" and coarse.phases != exemplar.phases:
+        raise RequestError(
+            f"the coarse scan is of {', '.join(coarse.phases)}, the exemplar of "
+            f"{', '.join(exemplar.phases)}: name the phases of both alike, in the same order "
+            "(--phases)"
+        )
+    if "voxel" in (coarse.unit, exemplar.unit) or len(spacing) != coarse.ndim:
+        return
+    wanted = tuple(n * edge for n, edge in zip(request.blocks, spacing, strict=True))
+    if coarse.unit != exemplar.unit or not np.allclose(coarse.spacing, wanted, rtol=1e-3):
+        raise RequestError(
+            f"the coarse scan's voxels are {coarse.spacing} {coarse.unit}; {request.shape} voxels "
+            f"of {tuple(spacing)} {exemplar.unit} make it {wanted}: ask for the shape that agrees, "
+            "or give the spacing of both"
         )
 
 
@@ -287,6 +333,45 @@ def _check_fixed(request: Request) -> None:
                 f"{_AXES[axis - len(shape)]}, where the result would have to go on from one to the "
                 "other; leave that axis out of periodic, or one end unknown"
             )
+
+
+def _check_coarse(request: Request) -> None:
+    coarse, shape = request.coarse, request.shape
+    if coarse is None:
+        return
+    if not isinstance(coarse, Image):
+        raise InputError(
+            f"coarse is a plain {type(coarse).__name__}: give an Image (tb.Image(array, "
+            "kind='labels'), or kind='grey')"
+        )
+    if coarse.kind == "colour" or coarse.ndim != len(shape):
+        raise InputError(
+            f"the coarse scan is {coarse.kind} of shape {coarse.shape}, the request is for "
+            f"{shape}: give labels or grey values along the same axes"
+        )
+    beside = sorted(request.asks_for() - {"coarse"})
+    if beside:
+        raise RequestError(
+            f"coarse beside {', '.join(beside)}: a coarse scan goes with shape and seed alone; "
+            f"leave out {beside[0]}"
+        )
+    times = [max(1, round(s / c)) for s, c in zip(shape, coarse.shape, strict=True)]
+    nearest = tuple(n * c for n, c in zip(times, coarse.shape, strict=True))
+    if nearest != shape:
+        raise RequestError(
+            f"the shape {shape} is no whole multiple of the coarse scan's {coarse.shape}: the "
+            f"nearest is {nearest} ({' x '.join(map(str, times))} voxels in one)"
+        )
+    if max(times) == 1:
+        raise RequestError(
+            f"the coarse scan is {coarse.shape}, as many voxels as the request: ask for a multiple "
+            f"of it, such as {tuple(2 * side for side in shape)}"
+        )
+    if (coarse.values == coarse.values.flat[0]).all():
+        raise InputError(
+            "the coarse scan holds one value only, and no interface to refine: give one of both "
+            "phases (of a grey scan --threshold none keeps its values)"
+        )
 
 
 def _as_periodic(value: bool | Sequence[bool], ndim: int) -> tuple[bool, ...]:

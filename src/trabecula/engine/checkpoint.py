@@ -299,6 +299,8 @@ def identity_of(
         ],
         "versions": versions(),
     }
+    if request.coarse is not None:  # named only then: unfinished runs of before resume
+        parts["coarse"] = _image_identity(request.coarse)
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=repr).encode()).hexdigest()
 
 

@@ -100,8 +100,8 @@ def draw_members(model: Model, request: Request, *, count: int, spread: float = 
     Raises
     ------
     InputError
-        A count or spread out of range; a spread beside a target or known voxels, or of an exemplar
-        without phases.
+        A count or spread out of range; a spread beside a target, known voxels or a coarse scan, or
+        of an exemplar without phases.
     """
     number = int(as_number(count, name="count", low=1, high=MOST, whole=True))
     scale = float(as_number(spread, name="spread", low=0, high=4))
@@ -109,7 +109,7 @@ def draw_members(model: Model, request: Request, *, count: int, spread: float = 
     members = tuple(replace(request, seed=request.seed + n) for n in range(number))
     if not scale:
         return Members(members)
-    asked = [name for name in ("target", "fixed") if name in request.asks_for()]
+    asked = [name for name in ("target", "fixed", "coarse") if name in request.asks_for()]
     if asked:
         raise InputError(
             f"the request has a {asked[0]}, which leaves no porosity to draw: leave it out, or "

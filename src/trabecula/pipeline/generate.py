@@ -298,7 +298,7 @@ def resume(
         As of `generate_to`. Default: that with which the run began.
     **moved : path
         The files that the run started from, where they have moved: exemplar, mask, fixed, known,
-        target, model, as for `rerun`.
+        coarse, target, model, as for `rerun`.
 
     Raises
     ------

@@ -311,6 +311,40 @@ def load_fixed(
     return place(scan, shape, corner=corner), block(scan.shape, shape, corner=corner)
 
 
+def load_coarse(source: str | os.PathLike[str], exemplar: Image) -> Image:
+    """Load a low-resolution scan, for `Request.coarse`: labels, or grey values as they are.
+
+    Where its file names no phases it has the exemplar's.
+
+    Raises
+    ------
+    FileError, UnknownNameError
+        As `load`.
+    """
+    scan = load(source, threshold="none")
+    new = _find_unstated(scan, exemplar, None) if scan.kind == "labels" else {}
+    return declare_fields(scan, phases=new["phases"]) if "phases" in new else scan
+
+
+def refined_shape(scan: Image, spacing: Sequence[float], unit: str) -> tuple[int, ...]:
+    """Return the voxels of a size that a low-resolution scan holds along each axis.
+
+    Raises
+    ------
+    InputError
+        A size is not stated.
+    """
+    if "voxel" in (scan.unit, unit) or scan.unit != unit:
+        raise InputError(
+            f"the size of the result is not given, and does not follow from voxels of "
+            f"{scan.spacing} {scan.unit} in the coarse scan and {tuple(spacing)} {unit} in the "
+            "result: add --shape, a whole multiple of "
+            f"{' '.join(map(str, scan.shape))}"
+        )
+    sides = zip(scan.shape, scan.spacing, spacing, strict=True)
+    return tuple(round(side * edge / fine) for side, edge, fine in sides)
+
+
 def _place_slice(
     picture: Image,
     exemplar: Image,

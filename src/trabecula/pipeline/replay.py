@@ -35,7 +35,7 @@ from trabecula.synth.api.serialize import load_model
 from trabecula.view.still import render
 
 AnyPath = str | os.PathLike[str]
-PARTS = ("mask", "fixed", "known")
+PARTS = ("mask", "fixed", "known", "coarse")
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,7 @@ def rerun(
     mask: AnyPath | None = None,
     fixed: AnyPath | None = None,
     known: AnyPath | None = None,
+    coarse: AnyPath | None = None,
     target: AnyPath | None = None,
     model: AnyPath | None = None,
 ) -> Image:
@@ -102,7 +103,7 @@ def rerun(
     exemplar : path or sequence of path, optional
         The files that the recipe starts from, if they have moved; several in the order of the
         exemplars.
-    mask, fixed, known, target : path, optional
+    mask, fixed, known, coarse, target : path, optional
         The same for the other files that the request named.
     model : path or str, optional
         The trained model that the recipe names, where it is neither beside the file nor shipped
@@ -128,7 +129,8 @@ def rerun(
             f"{path} does not hold what its recipe makes: its voxels were changed since"
         )
     folder = location_of(path).folder
-    parts = {"mask": mask, "fixed": fixed, "known": known, "target": target, "model": model}
+    parts = {"mask": mask, "fixed": fixed, "known": known, "coarse": coarse}
+    parts |= {"target": target, "model": model}
     return replay(image.recipe, folder=folder, exemplar=exemplar, **parts)
 
 

@@ -371,6 +371,11 @@ def _parts(case: MethodCase) -> dict[str, dict[str, Any]]:
         fixed = Image(values, **case.model.fields(case.request()))
         held = np.broadcast_to(np.arange(SHAPE[0])[:, None, None] < 6, SHAPE).copy()
         parts["fixed"] = {"fixed": fixed, "known": held}
+    if "coarse" in told.honours:
+        solid = case.material.values != case.model.facts[0].empty_label
+        most = (solid[::2, ::2].astype(int) + solid[1::2, ::2] + solid[::2, 1::2]) > 1
+        coarse = Image(most.astype(np.uint8), "labels", phases=case.material.phases)
+        parts["coarse"] = {"coarse": coarse}
     return parts
 
 
@@ -523,6 +528,8 @@ def _check_refused_parts(case: MethodCase) -> None:
         "target": {"target": {"porosity": np.full(SHAPE, 0.5)}},
         "fixed": {"fixed": Image(np.zeros(SHAPE, np.uint8), "labels"), "known": first},
     }
+    halves = np.arange(SHAPE[2]) % 2 * np.ones((SHAPE[0] // 2, SHAPE[1] // 2, 1))
+    parts["coarse"] = {"coarse": Image(halves.astype(np.uint8), "labels")}
     for part, words in parts.items():
         if part not in case.capabilities.honours:
             with raises(RequestError, part, f"{part} should be refused"):

@@ -7,18 +7,28 @@ pictures.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.core.progress import notify
+from trabecula.core.request import Request
 from trabecula.engine.compile import kernel
+from trabecula.engine.memory import Stage
 from trabecula.engine.parallel import sum_slabs
 from trabecula.exemplar.views import View
 from trabecula.synth.kopf import CAPABILITIES
+from trabecula.synth.kopf.coarse_scan import CoarseScan, check_scan
 from trabecula.synth.kopf.config import KopfConfig
+from trabecula.synth.kopf.fusion import FusionRounds
+from trabecula.synth.kopf.sharpening import sharpen, sharpening_stages
+from trabecula.synth.shared.content.fields import phases_present
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.planes import RegionViews
+from trabecula.synth.shared.pyramid import fit_to
+from trabecula.synth.shared.slabs import make_by_slabs
 from trabecula.synth.shared.solid.method import Solid
 from trabecula.synth.shared.solid.model import SolidModel
 from trabecula.synth.shared.solid.run import SolidRounds, SolidStage
@@ -58,6 +68,40 @@ class KopfModel(SolidModel):
     capabilities = CAPABILITIES
     rounds_type = KopfRounds
     config: KopfConfig
+
+    def make(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
+        """Make a volume from pictures alone, or one that a coarse scan lays out."""
+        if request.coarse is None:
+            return super().make(request)
+        pictures, present = self._phases()
+        line = check_scan(request, pictures, present)
+        if line:
+            notify(line)
+        scan = CoarseScan.of(request, pictures, present)
+        rounds = FusionRounds(self, request, scan)
+        rounds.run()
+        rounds.work.enter("deliver")
+        votes = fit_to(rounds.work.take("votes"), request.shape)
+        values, report = sharpen(votes[0], scan.bounds(0), scan.material)
+        labels = np.array(present, np.uint8)
+        made = make_by_slabs(
+            lambda a, b: labels[values[a:b].view(np.uint8)], values.shape, np.uint8
+        )
+        return made, {"coarse": report}
+
+    def _check_request(self, request: Request) -> None:
+        super()._check_request(request)
+        if request.coarse is not None:
+            check_scan(request, *self._phases())
+
+    def _phases(self) -> tuple[list[Image], tuple[int, ...]]:
+        """Return the pictures of all views, and the labels that occur in them."""
+        pictures = [view.image for view in self.views]
+        return pictures, phases_present(pictures)
+
+    def _stages(self, request: Request, *, mapped: bool = False) -> tuple[Stage, ...]:
+        found = super()._stages(request, mapped=mapped)
+        return found if request.coarse is None else (*found, *sharpening_stages(request.shape))
 
 
 def histogram_excess(votes: np.ndarray, views: RegionViews, strength: float) -> np.ndarray:

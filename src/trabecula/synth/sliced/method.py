@@ -20,7 +20,6 @@ from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.engine.memory import Array, Stage, forecast, resident, within
 from trabecula.exemplar.views import View, spacing_of
-from trabecula.measure.runs import runs_of
 from trabecula.synth.shared.coarse_to_fine import at_level, levels_that_fit
 from trabecula.synth.shared.content.fields import channels_of, mean_edge
 from trabecula.synth.shared.content.kinds import Content, content_of
@@ -29,8 +28,8 @@ from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.orient import symmetries
 from trabecula.synth.shared.pictures import PictureMethod, PictureModel
 from trabecula.synth.shared.pyramid import fit_to
-from trabecula.synth.shared.slabs import make_by_slabs
 from trabecula.synth.shared.solid.method import PROCESS
+from trabecula.synth.shared.specks import remove_specks
 from trabecula.synth.shared.stages import (
     LevelMemory,
     bound_stages,
@@ -50,8 +49,6 @@ from trabecula.synth.sliced.steps import distance_stages
 _LEAST = 8  # voxels that the result needs along every axis on the level that is laid out
 _SAME = 1e-6
 _AXES = "zyx"
-_OUT = 32000  # a vote that decides
-_FACES = 6  # neighbours share one
 
 
 class Sliced(PictureMethod):
@@ -257,35 +254,3 @@ def _bytes_of(field: np.ndarray, index: int, config: SlicedConfig) -> int:
         rows = int(np.prod([side - width + 1 for side in part.shape[2:]]))
         taken += rows * (4 << max(2, (count - 1).bit_length()) if sliced else 2 * count + 12)
     return taken
-
-
-def remove_specks(
-    votes: np.ndarray, values: np.ndarray, present: Sequence[int], least: int
-) -> np.ndarray:
-    """Return votes that no longer give `values` their connected components of fewer than `least`
-    voxels.
-
-    Parameters
-    ----------
-    votes : (C, Z, Y, X) int16
-        Of one channel, whose sign tells two phases apart, or of one for each phase.
-    values : (Z, Y, X) uint8
-        The labels that the votes gave.
-    present : sequence of int
-        The labels that there are, in the order of the channels.
-    least : int
-        Voxels that a component of a phase needs to stay.
-
-    Returns
-    -------
-    (C, Z, Y, X) int16
-    """
-    result = make_by_slabs(lambda a, b: votes[:, a:b], votes.shape, votes.dtype)
-    for place, label in enumerate(present):
-        runs = runs_of(values, np.arange(256) == label, _FACES)
-        small = runs.sizes < least
-        if len(present) == 2:
-            runs.write(result[0], small, -_OUT if place else _OUT)
-        else:
-            runs.write(result[place], small, -_OUT)
-    return result

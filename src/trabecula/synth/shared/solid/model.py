@@ -113,7 +113,7 @@ class SolidModel(PictureModel):
             return quantise(field / np.float32(2**index), clip=self.config.clip)
         return quantise(field, clip=FULL)
 
-    def make(self, request: Request) -> np.ndarray:
+    def make(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
         rounds = self.rounds_type(self, request)
         rounds.run()
         rounds.work.enter("deliver")
@@ -144,7 +144,8 @@ class SolidModel(PictureModel):
             mapped=mapped,
         )
         target = level.correlations
-        if target is None or request.fixed is not None or not at_level(config.corrections, index):
+        kept = request.fixed is not None or request.coarse is not None
+        if target is None or kept or not at_level(config.corrections, index):
             return memory
         return replace(memory, correction=step_stages(memory.covered.shape, target, region.wraps))
 

@@ -20,6 +20,7 @@ from trabecula.synth.shared.coarse_to_fine import (
     trim_schedule,
 )
 from trabecula.synth.shared.content.fields import votes_of
+from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import (
     coherent_search,
     exact_search,
@@ -37,7 +38,7 @@ from trabecula.synth.shared.statistics.two_point import Correlations
 from trabecula.synth.shared.statistics.two_point_steps import accumulate_debt, two_point_step
 
 if TYPE_CHECKING:
-    from trabecula.synth.shared.solid.model import SolidModel
+    from trabecula.synth.shared.solid.model import SolidLevel, SolidModel
 
 
 @dataclass(frozen=True)
@@ -203,11 +204,7 @@ class SolidRounds(ViewRounds[SolidStage]):
             rounds = config.first_rounds
         del self.regions[index + 1 :]
         self.debt = None
-        views = RegionViews.over(
-            self.regions.pop(),
-            level.views,
-            model.content.target_histograms(level.histograms, self.request),
-        )
+        views = RegionViews.over(self.regions.pop(), level.views, self.targets(level))
         trims = trim_schedule(
             rounds,
             config.trim,
@@ -227,6 +224,10 @@ class SolidRounds(ViewRounds[SolidStage]):
             target=level.correlations if self.request.fixed is None else None,
             steps=at_level(config.corrections, index),
         )
+
+    def targets(self, level: SolidLevel) -> tuple[Histogram, ...]:
+        """Return the histograms that the field of a level is matched to."""
+        return self.model.content.target_histograms(level.histograms, self.request)
 
     def memory(self, stage: SolidStage) -> Iterable[Stage]:
         """Declare the arrays of a level."""
