@@ -162,9 +162,7 @@ class SliceDescriptors:
         rho = autocorrelation(image, lags=min(self.reach, self.inner.lags))
         row, column = (side // 2 for side in rho.shape)  # of offset 0
         steps = np.arange(int(min(row, column) / np.sqrt(2)) + 1)
-        return {
-            DIAGONAL: (rho[row + steps, column + steps] + rho[row + steps, column - steps]) / 2
-        }
+        return {DIAGONAL: (rho[row + steps, column + steps] + rho[row + steps, column - steps]) / 2}
 
     def _preference(self, curves: Mapping[str, np.ndarray]) -> dict[str, float]:
         if DIAGONAL not in curves:

@@ -17,7 +17,7 @@ from trabecula.core.image import Image
 from trabecula.measure.describe import describe_numbers
 from trabecula.measure.effective_properties import describe_physics, physics_notes
 from trabecula.measure.registry import DESCRIPTORS
-from trabecula.report.band import LEAST_PART
+from trabecula.report.band import part_boxes
 from trabecula.report.baseline import gaussian_field
 from trabecula.report.compatibility import check_volume
 from trabecula.report.decidability import exemplar_reasons, level_reasons, picture_reason
@@ -43,9 +43,9 @@ from trabecula.report.stereology import (
     Joined,
     beyond,
     implied_notes,
+    joined_in,
     judge_connections,
     judge_isotropy,
-    joined_in,
     void_figures,
 )
 from trabecula.report.verdict import Certificate, about_image
@@ -75,9 +75,9 @@ def judge_volumes(
     smallest = min(
         min(min(image.shape) for image in images), *(min(picture.shape) for picture in pictures)
     )
-    reach = max(
-        1, min(r_max, smallest // 2, *(max(LEAST_PART, min(p.shape) // 2) - 1 for p in pictures))
-    )
+    boxes = [box for picture in pictures for box in part_boxes(picture.shape)]
+    fits = [each.stop - each.start - 1 for box in boxes for each in box]
+    reach = max(1, min(r_max, smallest // 2, *fits))
     judges = [_Judge(plane, images, reach, level) for plane in planes]
     found = []
     for image, name in progress.track(list(zip(images, names, strict=True)), "comparing"):

@@ -18,7 +18,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -66,7 +65,8 @@ class Joined:
         """Return what two pictures show together."""
         axes = tuple(axis for axis in "zyx" if axis in self.axes + other.axes)
         shares = [share for share in (self.share, other.share) if share]
-        return Joined(axes, self.planes + other.planes, min(shares) if shares else None)
+        least = min(shares, key=lambda share: share[1]) if shares else None
+        return Joined(axes, self.planes + other.planes, least)
 
     @property
     def implied(self) -> bool:
@@ -234,10 +234,14 @@ def beyond(joined: Mapping[str, Joined], metrics: Mapping[str, Metric]) -> Itera
         if phase.implied or share is None:
             continue
         count = metrics[f"components_{VOLUME}{ending}"].value
-        here = f"{share:.2g} of it lies in the largest of {count} components"
+        held = math.floor(1000 * share) / 1000  # .9999 is not all of it
+        here = f"{held:.3g} of it lies in the largest of {count} components"
+        spans = metrics[f"percolates_{VOLUME}{ending}"].value
+        through = ", ".join(axis for axis, holds in spans.items() if holds) or "no axis"
         yield (
             f"whether the {PHASES[ending]} is joined in space: what is apart in the picture may be "
-            f"joined above or below (here {'it is one component' if count == 1 else here})"
+            f"joined above or below (here {'it is one component' if count == 1 else here}; it "
+            f"percolates along {through})"
         )
     yield (
         "figures that only a volume has: the number of components, the Euler number, sizes of "
@@ -274,4 +278,3 @@ def void_figures(image: Image) -> dict[str, Metric]:
         f"largest_fraction_{VOLUME}_void": Metric(share),
         f"percolates_{VOLUME}_void": Metric(percolates(image, phase="void")),
     }
-
