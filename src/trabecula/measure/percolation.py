@@ -142,25 +142,41 @@ def wrapping_voxels(inside: np.ndarray) -> np.ndarray:
 
     They alone carry load: all others are islands, which an overall strain moves.
     """
+    labels, periods = wrapping_components(inside)
+    bears = np.zeros(int(labels.max(initial=0)) + 1, bool)
+    bears[list(periods)] = True
+    return bears[labels]
+
+
+def wrapping_components(inside: np.ndarray) -> tuple[np.ndarray, dict[int, np.ndarray]]:
+    """Label the components (of shared faces) of the periodic box, and find along which periods they
+    meet themselves.
+
+    Returns
+    -------
+    labels : int array, (Z, Y, X)
+    periods : dict
+        Label of every component that wraps -> (n, 3) int64: periods along z, y, x from a voxel to
+        itself; they span all directions that it wraps along.
+    """
     labels, sizes = label_components(inside)
     count = len(sizes)
     parent = list(range(count + 1))
     # of a component's box, seen from its parent's
     offset: list[tuple[int, ...]] = [(0, 0, 0)] * (count + 1)
-    wraps = np.zeros(count + 1, bool)
+    gaps: list[tuple[int, tuple[int, ...]]] = []
     for axis in range(3):
         step = tuple(int(axis == k) for k in range(3))
         pairs = np.stack(
             [labels.take(-1, axis=axis).ravel(), labels.take(0, axis=axis).ravel()], axis=1
         )
         for low, high in np.unique(pairs[(pairs > 0).all(axis=1)], axis=0).tolist():
-            _join(parent, offset, wraps, low, high, step)
+            _join(parent, offset, gaps, low, high, step)
     roots = np.array([_root(parent, offset, k)[0] for k in range(count + 1)])
-    bears = np.zeros(count + 1, bool)
-    np.logical_or.at(bears, roots, wraps)
-    carries = bears[roots]
-    carries[0] = False
-    return carries[labels]
+    found: dict[int, list[tuple[int, ...]]] = {}
+    for member, gap in gaps:
+        found.setdefault(int(roots[member]), []).append(gap)
+    return roots[labels], {root: np.unique(gap, axis=0) for root, gap in found.items()}
 
 
 def _root(parent: list[int], offset: list[tuple[int, ...]], k: int) -> tuple[int, tuple[int, ...]]:
@@ -179,16 +195,18 @@ def _root(parent: list[int], offset: list[tuple[int, ...]], k: int) -> tuple[int
 def _join(
     parent: list[int],
     offset: list[tuple[int, ...]],
-    wraps: np.ndarray,
+    gaps: list[tuple[int, tuple[int, ...]]],
     a: int,
     b: int,
     step: tuple[int, ...],
 ) -> None:
-    """Join component b, one `step` of boxes on, to a, which it touches."""
+    """Join component b, one `step` of boxes on, to a, which it touches; where they are one already,
+    note the periods between the two ways.
+    """
     root_a, from_a = _root(parent, offset, a)
     root_b, from_b = _root(parent, offset, b)
     gap = tuple(p + s - q for p, s, q in zip(from_a, step, from_b, strict=True))
     if root_a != root_b:
         parent[root_b], offset[root_b] = root_a, gap
     elif any(gap):
-        wraps[root_a] = True
+        gaps.append((root_a, gap))
