@@ -83,9 +83,10 @@ def pair_nodes(found: FaceNodes) -> NodePairs:
     key = np.ravel_multi_index(tuple((place % sides).T), found.shape)
     order = np.lexsort((number, key))
     key, place, number = key[order], place[order], number[order]
-    starts = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]])) if len(key) else []
-    lengths = np.diff([*starts, len(key)])
-    partner = np.repeat(starts, lengths).astype(np.int64)
+    fresh = np.ones(len(key), bool)
+    fresh[1:] = key[1:] != key[:-1]
+    starts = np.flatnonzero(fresh)
+    partner = starts[np.cumsum(fresh) - 1] if len(key) else starts
     depends = partner != np.arange(len(key))
-    periods = (place - place[partner]) // sides if len(key) else place
+    periods = (place - place[partner]) // sides
     return NodePairs(number[depends], number[partner][depends], periods[depends])
