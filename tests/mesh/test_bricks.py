@@ -340,7 +340,7 @@ def test_a_vtu_holds_points_cells_and_phases(tmp_path):
     head, data = raw.split(b'<AppendedData encoding="raw">\n   _')
     assert b"--" not in head.split(b"<!--")[1].split(b"-->")[0], "no comment in XML holds it"
     starts = [int(number) for number in re.findall(rb'offset="(\d+)"', head)]
-    types = ("<f8", "<i4", "<i8", "u1", "u1")
+    types = ("<f8", "<i4", "<i8", "u1", "<i4", "u1")
 
     def block(n):
         size = int(np.frombuffer(data[starts[n] : starts[n] + 8], "<u8")[0])
@@ -351,7 +351,80 @@ def test_a_vtu_holds_points_cells_and_phases(tmp_path):
     place = np.argwhere(values > 0)
     assert np.allclose(points[cells], ((place[:, None] + CORNERS) * SPACING)[..., ::-1])
     assert block(2).tolist() == list(range(8, 8 * 40 + 1, 8)) and set(block(3)) == {12}
-    assert block(4).tolist() == values[values > 0].tolist()
+    assert block(4).tolist() == (1 + values[values > 0]).tolist(), "MFEM's attributes begin at 1"
+    assert block(5).tolist() == values[values > 0].tolist()
+
+
+def foam_list(path):
+    """Read a list of OpenFOAM: the numbers of every row."""
+    text = path.read_text().split("}", 1)[1]
+    count, rows = text.split("(", 1)[0].strip(), text.split("(", 1)[1].rsplit(")", 1)[0]
+    found = [[float(n) for n in re.findall(r"[-+.\de]+", row)] for row in rows.strip().split("\n")]
+    found = [row for row in found if row]
+    assert len(found) == int(count)
+    return found
+
+
+def test_a_polymesh_is_closed_and_in_the_order_of_its_owners(tmp_path):
+    values = blob(8, 0.4)
+    found = export_bricks(image(values, unit="mm"), tmp_path / "a.foam", axis="y")
+    mesh = tmp_path / "a.foam" / "constant" / "polyMesh"
+    points = np.array(foam_list(mesh / "points"))
+    faces = np.array(foam_list(mesh / "faces"), int)[:, 1:]
+    owner, neighbour = (
+        np.array(foam_list(mesh / name), int).ravel() for name in ("owner", "neighbour")
+    )
+    cells, inner = found.bricks["void"], len(neighbour)
+    assert len(points) == found.nodes and owner.max() == cells - 1
+    assert (owner[:inner] < neighbour).all()
+    pairs = list(zip(owner[:inner], neighbour, strict=True))
+    assert pairs == sorted(set(pairs)), "in the order that solvers ask for, each once"
+    corners = points[faces]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0])
+    total = np.zeros((cells, 3))
+    np.add.at(total, owner, area)
+    np.subtract.at(total, neighbour, area[:inner])
+    assert np.abs(total).max() < 1e-12 * np.abs(area).max(), "every cell is closed, normals outward"
+    middle = corners.mean(axis=1)
+    volume = np.zeros(cells)
+    flux = np.einsum("ij,ij->i", area, middle) / 3
+    np.add.at(volume, owner, flux)
+    np.subtract.at(volume, neighbour, flux[:inner])
+    assert np.allclose(volume, np.prod(SPACING) * 1e-9), "in metres"
+    text = (mesh / "boundary").read_text()
+    entries = re.findall(r"(\w+)\n\s+{\n\s+type (\w+);\s+nFaces (\d+);\s+startFace (\d+)", text)
+    patches = {name: (kind, int(count), int(start)) for name, kind, count, start in entries}
+    assert [patches["inlet"][0], patches["walls"][0], patches["side_x_low"][0]] == [
+        "patch",
+        "wall",
+        "symmetryPlane",
+    ]
+    at = inner
+    for kind, count, start in patches.values():
+        assert start == at and kind
+        at += count
+    assert at == len(faces)
+    for name, axis, place in (("inlet", 1, 0.0), ("outlet", 1, 12e-3), ("side_z_high", 2, 16e-3)):
+        _, count, start = patches[name]
+        assert count and np.allclose(corners[start : start + count, :, axis], place)
+    # of the voxels that are cells: faces on the box, and to voxels that are none
+    walls = sum(np.count_nonzero(np.diff(values, axis=axis)) for axis in range(3))
+    assert found.left_out == 0 and patches["walls"][1] == walls
+    assert not list(mesh.glob("*.*")), "nothing beside the five files"
+    for name in ("0/U", "0/p", "system/controlDict", "system/fvSolution", "case.foam"):
+        assert (tmp_path / "a.foam" / name).exists()
+
+
+def test_a_flow_has_the_pores_that_lead_from_end_to_end(tmp_path):
+    values = np.ones((4, 6, 6))
+    values[:, 1, 1] = values[1, 4, 4] = values[:2, 4, 1] = 0
+    found = export_bricks(image(values, unit="um"), tmp_path / "a.foam")
+    assert found.bricks == {"void": 4} and found.left_out == 3
+    control = (tmp_path / "a.foam" / "system" / "controlDict").read_text()
+    nu, drop, length, area = 1e-6, 1e-3 * 1e-12 / 1e-18 * 8e-6, 8e-6, 9e-6 * 6e-6
+    factor = float(re.search(r"= Q \* (\S+) m2", control)[1])
+    assert factor == pytest.approx(nu * length / (area * drop))
+    assert max(map(len, control.splitlines())) < 130
 
 
 def test_what_cannot_be_written_is_refused(tmp_path):

@@ -143,7 +143,13 @@ def export_bricks(
     _check_bricks(grid, form, path)
     bearing = Bearing(grid, (), 0)
     if case:
-        bearing = choose_bearing(grid, along, periodic=case == "periodic", memory=memory)
+        bearing = choose_bearing(
+            grid,
+            along,
+            periodic=case == "periodic",
+            held=case in ("compression", "periodic"),
+            memory=memory,
+        )
         grid = bearing.grid
     count = grid.count
     given = _as_moduli(moduli, grid.names)

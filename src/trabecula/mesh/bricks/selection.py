@@ -65,9 +65,11 @@ def choose_phases(volume: Slabs, phases: Sequence[str | int] | None) -> BrickGri
     return BrickGrid(volume, table, tuple(volume.phases[label] for label in labels))
 
 
-def choose_bearing(grid: BrickGrid, axis: int, *, periodic: bool, memory: int | None) -> Bearing:
+def choose_bearing(
+    grid: BrickGrid, axis: int, *, periodic: bool, held: bool, memory: int | None
+) -> Bearing:
     """Return the bricks of components (of shared faces) that reach from face to face along an axis,
-    or that wrap around the periodic box.
+    or that wrap around the periodic box; `held` asks for the components that have to be held.
 
     Raises
     ------
@@ -99,7 +101,7 @@ def choose_bearing(grid: BrickGrid, axis: int, *, periodic: bool, memory: int | 
         passes = bool(keep.any())
     if not passes:
         _refuse(grid, inside, axis, periodic)
-    found = _components(labels, keep, periods, periodic=periodic)
+    found = _components(labels, keep, periods, periodic=periodic) if held else ()
     left_out = total - int(np.count_nonzero(keep))
     return Bearing(replace(grid, keep=keep if left_out else None), found, left_out)
 
@@ -129,17 +131,16 @@ def _components(
     for label, found in periods.items():
         first = int(np.argmax(labels == label))
         gaps.setdefault(int(joined.ravel()[first]), []).append(found)
-    ends = np.zeros((count + 1, 3, 2, 3), np.int64)
-    # raster order along every axis: the first and the last voxel of a component along it
+    ends = np.full((count + 1, 3, 2, 3), -1, np.int64)
     for axis in range(3):
-        turned = np.moveaxis(joined, axis, 0)
-        flat = turned.ravel()
-        inside = np.flatnonzero(flat)
-        for end, order in ((0, inside), (1, inside[::-1])):
-            known, at = np.unique(flat[order], return_index=True)
-            places = order[at]
-            found = np.stack(np.unravel_index(places, turned.shape), axis=1)
-            ends[known, axis, end] = np.insert(np.delete(found, 0, axis=1), axis, found[:, 0], 1)
+        for at, plane in enumerate(np.moveaxis(joined, axis, 0)):
+            known, first = np.unique(plane, return_index=True)
+            places = np.insert(
+                np.stack(np.unravel_index(first, plane.shape), axis=1), axis, at, axis=1
+            )
+            ends[known, axis, 1] = places
+            fresh = ends[known, axis, 0, 0] < 0
+            ends[known[fresh], axis, 0] = places[fresh]
     empty = np.empty((0, 3), np.int64)
     return tuple(
         BrickComponent(ends[n], np.concatenate(gaps[n]) if n in gaps else empty)

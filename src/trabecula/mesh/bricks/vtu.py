@@ -1,5 +1,7 @@
 """VTK UnstructuredGrid (.vtu): bricks as hexahedra, with the phase of each as cell data.
 
+Cell data "phase" are labels; "material" are labels + 1, the attributes that MFEM reads: it takes the
+first array, and only if that is the one named as scalars.
 Appended raw bytes, plane by plane: no array is in memory as a whole. Format: VTK File Formats,
 https://docs.vtk.org/en/latest/vtk_file_formats/.
 """
@@ -29,6 +31,7 @@ def write(grid: BrickGrid, path: Path, context: ExportContext) -> None:
         (bricks * 8 * index.itemsize, lambda: _cells(grid, index)),
         (bricks * 8, lambda: _offsets(bricks)),
         (bricks, lambda: _types(bricks)),
+        (bricks * 4, lambda: (1 + part.astype("<i4") for part in _phases(grid))),
         (bricks, lambda: _phases(grid)),
     ]
     starts = np.cumsum([0, *(8 + size for size, _ in blocks)]).tolist()
@@ -66,8 +69,9 @@ def _head(grid: BrickGrid, context: ExportContext, starts: list[int], index: np.
         + array(integer, "connectivity", 1)
         + array("Int64", "offsets", 2)
         + array("UInt8", "types", 3)
-        + '      </Cells>\n      <CellData Scalars="phase">\n'
-        + array("UInt8", "phase", 4)
+        + '      </Cells>\n      <CellData Scalars="material">\n'
+        + array("Int32", "material", 4)
+        + array("UInt8", "phase", 5)
         + "      </CellData>\n    </Piece>\n  </UnstructuredGrid>\n"
         '  <AppendedData encoding="raw">\n   _'
     )
