@@ -154,7 +154,7 @@ def wrapping_components(inside: np.ndarray) -> tuple[np.ndarray, dict[int, np.nd
 
     Returns
     -------
-    labels : int array, (Z, Y, X)
+    labels : int32 array, (Z, Y, X)
     periods : dict
         Label of every component that wraps -> (n, 3) int64: periods along z, y, x from a voxel to
         itself; they span all directions that it wraps along.
@@ -172,7 +172,7 @@ def wrapping_components(inside: np.ndarray) -> tuple[np.ndarray, dict[int, np.nd
         )
         for low, high in np.unique(pairs[(pairs > 0).all(axis=1)], axis=0).tolist():
             _join(parent, offset, gaps, low, high, step)
-    roots = np.array([_root(parent, offset, k)[0] for k in range(count + 1)])
+    roots = np.array([_root(parent, offset, k)[0] for k in range(count + 1)], np.int32)
     found: dict[int, list[tuple[int, ...]]] = {}
     for member, gap in gaps:
         found.setdefault(int(roots[member]), []).append(gap)

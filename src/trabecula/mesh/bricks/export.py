@@ -87,7 +87,7 @@ def export_bricks(
     ----------
     volume : Image or array of labels, (Z, Y, X), or Slabs
         Of `Slabs` no more than some planes are in memory; a load case, and .foam, need the labels
-        of all voxels as well, ten bytes each.
+        of all voxels as well, 10 to 18 bytes each.
     path : path
         `.inp` (Abaqus, CalculiX), `.vtu` (ParaView, meshio), or `.foam`, a folder with an OpenFOAM
         case. It appears whole or not at all.

@@ -80,7 +80,7 @@ def choose_bearing(
     """
     voxels = int(np.prod(grid.volume.shape))
     check_budget(
-        Plan({"voxels": 2 * voxels, "labels": 8 * voxels}),
+        Plan({"voxels": 2 * voxels, "labels": 8 * voxels, "held": 8 * voxels * held}),
         budget=memory,
         advice="export a crop, or without a load case",
     )

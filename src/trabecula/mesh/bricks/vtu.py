@@ -1,7 +1,7 @@
 """VTK UnstructuredGrid (.vtu): bricks as hexahedra, with the phase of each as cell data.
 
-Cell data "phase" are labels; "material" are labels + 1, the attributes that MFEM reads: it takes the
-first array, and only if that is the one named as scalars.
+Cell data "phase" are labels; "material" are labels + 1, the attributes that MFEM reads: it takes
+the first array, and only if that is the one named as scalars.
 Appended raw bytes, plane by plane: no array is in memory as a whole. Format: VTK File Formats,
 https://docs.vtk.org/en/latest/vtk_file_formats/.
 """
