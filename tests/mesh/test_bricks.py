@@ -255,6 +255,30 @@ def test_the_periodic_case_gives_the_modulus_of_measure_stiffness(tmp_path, axis
     assert found.pairs == len(Deck(tmp_path / "a.inp").equations) / 3
 
 
+@pytest.mark.whole
+@pytest.mark.parametrize("seed", [9, 16, 39, 92, 99, 127])
+def test_whatever_repeats_is_held_and_nothing_else(tmp_path, seed):
+    """Sparse fields in which components repeat along one, two or three directions, or hold together
+    across the faces by edges alone: none is loose, and none is stiffened by what holds it.
+    """
+    rng = np.random.default_rng(seed)
+    width, share = rng.choice([0.6, 0.9, 1.2]), rng.uniform(0.15, 0.5)
+    noise = rng.standard_normal((7, 7, 7))
+    field = gaussian_filter(noise, width, mode=rng.choice(["wrap", "nearest"]))
+    rock, axis = image(field > np.quantile(field, 1 - share)), "zyx"[seed % 3]
+    export_bricks(rock, tmp_path / "a.inp", case="periodic", axis=axis)
+    own = tb.measure.stiffness(rock, tolerance=1e-5).moduli[axis]
+    assert modulus(tmp_path / "a.inp") == pytest.approx(own, rel=2e-3)
+
+
+def test_bricks_that_hang_on_edges_are_named(tmp_path, capsys):
+    values = np.zeros((4, 4, 4))
+    values[:, 0, 0] = values[:, 1, 1] = 1
+    for case in ("compression", "periodic"):
+        export_bricks(image(values), tmp_path / "a.inp", case=case)
+        assert "as by hinges" in capsys.readouterr().err
+
+
 def test_fibres_are_held_but_not_stressed(tmp_path):
     """A column between faces, one that repeats, and two that touch nowhere: E is their share."""
     values = np.zeros((4, 6, 6))

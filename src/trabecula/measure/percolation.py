@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -148,9 +149,15 @@ def wrapping_voxels(inside: np.ndarray) -> np.ndarray:
     return bears[labels]
 
 
-def wrapping_components(inside: np.ndarray) -> tuple[np.ndarray, dict[int, np.ndarray]]:
-    """Label the components (of shared faces) of the periodic box, and find along which periods they
-    meet themselves.
+def wrapping_components(
+    inside: np.ndarray, *, connectivity: int = 6
+) -> tuple[np.ndarray, dict[int, np.ndarray]]:
+    """Label the components of the periodic box, and find along which periods they meet themselves.
+
+    Parameters
+    ----------
+    inside : bool array, (Z, Y, X)
+    connectivity : {6, 26}
 
     Returns
     -------
@@ -159,24 +166,38 @@ def wrapping_components(inside: np.ndarray) -> tuple[np.ndarray, dict[int, np.nd
         Label of every component that wraps -> (n, 3) int64: periods along z, y, x from a voxel to
         itself; they span all directions that it wraps along.
     """
-    labels, sizes = label_components(inside)
+    labels, sizes = label_components(inside, connectivity=connectivity)
     count = len(sizes)
     parent = list(range(count + 1))
     # of a component's box, seen from its parent's
     offset: list[tuple[int, ...]] = [(0, 0, 0)] * (count + 1)
     gaps: list[tuple[int, tuple[int, ...]]] = []
     for axis in range(3):
-        step = tuple(int(axis == k) for k in range(3))
-        pairs = np.stack(
-            [labels.take(-1, axis=axis).ravel(), labels.take(0, axis=axis).ravel()], axis=1
-        )
-        for low, high in np.unique(pairs[(pairs > 0).all(axis=1)], axis=0).tolist():
-            _join(parent, offset, gaps, low, high, step)
+        for low, high, *step in _meetings(labels, axis, aside=connectivity == 26):
+            _join(parent, offset, gaps, low, high, tuple(step))
     roots = np.array([_root(parent, offset, k)[0] for k in range(count + 1)], np.int32)
     found: dict[int, list[tuple[int, ...]]] = {}
     for member, gap in gaps:
         found.setdefault(int(roots[member]), []).append(gap)
     return roots[labels], {root: np.unique(gap, axis=0) for root, gap in found.items()}
+
+
+def _meetings(labels: np.ndarray, axis: int, *, aside: bool) -> list[list[int]]:
+    """Return the labels that meet across the end faces of an axis, each with the periods z, y, x
+    that lie between; `aside`: also by an edge or a node.
+    """
+    far, near = labels.take(-1, axis=axis), labels.take(0, axis=axis)
+    first, second = (other for other in range(3) if other != axis)
+    places = np.argwhere(far > 0)
+    found = [np.empty((0, 5), np.int64)]
+    for shift in product((-1, 0, 1), repeat=2) if aside else [(0, 0)]:
+        periods, beside = np.divmod(places + shift, far.shape)
+        rows = np.zeros((len(places), 5), np.int64)
+        rows[:, 0], rows[:, 1] = far[tuple(places.T)], near[tuple(beside.T)]
+        rows[:, 2 + axis] = 1
+        rows[:, 2 + first], rows[:, 2 + second] = periods.T
+        found.append(np.unique(rows[rows[:, 1] > 0], axis=0))
+    return np.unique(np.concatenate(found), axis=0).tolist()
 
 
 def _root(parent: list[int], offset: list[tuple[int, ...]], k: int) -> tuple[int, tuple[int, ...]]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -117,9 +118,10 @@ def build_case(
     sides = np.array(grid.volume.shape) * grid.volume.spacing
     area = float(np.prod(np.delete(sides, axis)))
     pairs = pair_nodes(faces)
+    partner = dict(zip(pairs.nodes.tolist(), pairs.partners.tolist(), strict=True))
     held = _hold_references(bearing, letter, others)
     for component in bearing.components:
-        held += _hold_periodic(grid, component, set(pairs.nodes.tolist()))
+        held += _hold_periodic(grid, component, partner)
     names = tuple(reference_name(other) for other in "xyz")
     return LoadCase(
         name,
@@ -143,33 +145,21 @@ def _hold_sliding(grid: BrickGrid, component: BrickComponent, others: Sequence[s
     return [Held(p, DOF[b]), Held(p, DOF[c]), Held(q, DOF[c])]
 
 
-def _hold_periodic(grid: BrickGrid, component: BrickComponent, dependent: set[int]) -> list[Held]:
+def _hold_periodic(
+    grid: BrickGrid, component: BrickComponent, partner: dict[int, int]
+) -> list[Held]:
     """Hold a component that repeats: three shifts; one turn where it repeats along one direction
-    alone.
+    alone. Both nodes are of one brick, since between far ones a face may lie.
     """
-    places = [tuple(voxel + corner) for voxel in component.ends[0] for corner in _CORNER_STEPS]
-    near = numbers_at(grid, places)
-    free = [number for number in near if number not in dependent]
-    if not free:  # all on faces: their partners are as good
-        raise InputError(
-            "a part of the periodic volume is one voxel small: prune it (finish --prune), or "
-            "choose --case compression"
-        )
-    held = [Held(free[0], dof) for dof in DOF.values()]
-    if np.linalg.matrix_rank(component.periods) > 1:
-        return held
     along = int(np.argmax(np.abs(component.periods).sum(axis=0)))
     b, c = (axis for axis in range(3) if axis != along)
-    p, q = _far_corners(component, b)
-    start = places[near.index(free[0])]
-    last = max((p, q), key=lambda corner: abs(corner[b] - start[b]))
-    (number,) = numbers_at(grid, [last])
-    if number in dependent:
-        number = next(n for n in free[1:] if n != free[0])
-    return [*held, Held(number, DOF[AXES[c]])]
-
-
-_CORNER_STEPS = [np.array((k, j, i)) for k in (0, 1) for j in (0, 1) for i in (0, 1)]
+    corner = component.ends[0, 0]
+    beside = corner.copy()
+    beside[b] += 1
+    p, q = (partner.get(n, n) for n in numbers_at(grid, [tuple(corner), tuple(beside)]))
+    held = [Held(p, dof) for dof in DOF.values()]
+    turns = np.linalg.matrix_rank(component.periods) == 1
+    return [*held, Held(q, DOF[AXES[c]])] if turns else held
 
 
 def _far_corners(component: BrickComponent, axis: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -181,23 +171,27 @@ def _far_corners(component: BrickComponent, axis: int) -> tuple[tuple[int, ...],
 
 
 def _hold_references(bearing: Bearing, letter: str, others: Sequence[str]) -> list[Held]:
-    """Hold the reference nodes: no mean rotation, and whatever no
-    component repeats along; what is left free has no mean stress.
+    """Hold the reference nodes: no mean rotation in the plane of two axes, no shear there unless a
+    component repeats along both, and nothing along axes that none repeats along.
     """
-    periods = np.concatenate([component.periods for component in bearing.components])
-    wraps = {name: bool(periods[:, AXES.index(name)].any()) for name in AXES}
-    if np.linalg.matrix_rank(periods) < sum(wraps.values()):
+    periods = [component.periods for component in bearing.components]
+    wraps = {name: any(gaps[:, AXES.index(name)].any() for gaps in periods) for name in AXES}
+    if np.linalg.matrix_rank(np.concatenate(periods)) < sum(wraps.values()):
         raise InputError(
             "the periodic volume repeats along an oblique direction alone, which this load case "
             "does not hold: choose --case compression"
         )
-    b, c = others
-    held = [Held(reference_name(letter), DOF[other]) for other in others]
-    for name, other in ((b, c), (c, b)):
-        if not wraps[name]:
-            held += [Held(reference_name(name), dof) for dof in DOF.values()]
-        elif name == b or not wraps[b]:
-            held.append(Held(reference_name(name), DOF[other]))
+    order = (letter, *others)
+    held = [
+        Held(reference_name(name), dof) for name in order if not wraps[name] for dof in DOF.values()
+    ]
+    for first, second in combinations(order, 2):
+        both = [AXES.index(first), AXES.index(second)]
+        joint = any(np.linalg.matrix_rank(gaps[:, both]) == 2 for gaps in periods)
+        if wraps[first]:
+            held.append(Held(reference_name(first), DOF[second]))
+        if wraps[second] and not (wraps[first] and joint):
+            held.append(Held(reference_name(second), DOF[first]))
     return held
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from trabecula.core.checks import quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import phase_index
+from trabecula.core.progress import notify
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.engine.memory import Plan, check_budget
 from trabecula.measure.labelling import label_components
@@ -101,7 +102,7 @@ def choose_bearing(
         passes = bool(keep.any())
     if not passes:
         _refuse(grid, inside, axis, periodic)
-    found = _components(labels, keep, periods, periodic=periodic) if held else ()
+    found = _components(keep, periods if periodic else None) if held else ()
     left_out = total - int(np.count_nonzero(keep))
     return Bearing(replace(grid, keep=keep if left_out else None), found, left_out)
 
@@ -122,18 +123,27 @@ def _refuse(grid: BrickGrid, inside: np.ndarray, axis: int, periodic: bool) -> N
 
 
 def _components(
-    labels: np.ndarray, keep: np.ndarray, periods: dict[int, np.ndarray], *, periodic: bool
+    keep: np.ndarray, periods: dict[int, np.ndarray] | None
 ) -> tuple[BrickComponent, ...]:
-    """Find what holds together: components that touch by an edge or a node are one here."""
-    joined, sizes = label_components(keep, connectivity=26, periodic=periodic)
-    count = len(sizes)
-    gaps: dict[int, list[np.ndarray]] = {}
-    for label, found in periods.items():
-        first = int(np.argmax(labels == label))
-        gaps.setdefault(int(joined.ravel()[first]), []).append(found)
-    ends = np.full((count + 1, 3, 2, 3), -1, np.int64)
+    """Find what holds together: components that touch by an edge or a node are one here; `periods`
+    of components by shared faces, where the volume repeats itself.
+    """
+    if periods is None:
+        labels, sizes = label_components(keep, connectivity=26)
+        numbers, wraps = range(1, len(sizes) + 1), dict[int, np.ndarray]()
+        hinged = len(label_components(keep)[1]) > len(sizes)
+    else:
+        labels, wraps = wrapping_components(keep, connectivity=26)
+        numbers = sorted(wraps)
+        hinged = _ranks(periods) != _ranks(wraps)
+    if hinged:
+        notify(
+            "bricks hold together by an edge or a node alone, as by hinges: a solver may find them "
+            "loose; join them first (finish --smooth or --thicken)"
+        )
+    ends = np.full((int(labels.max()) + 1, 3, 2, 3), -1, np.int64)
     for axis in range(3):
-        for at, plane in enumerate(np.moveaxis(joined, axis, 0)):
+        for at, plane in enumerate(np.moveaxis(labels, axis, 0)):
             known, first = np.unique(plane, return_index=True)
             places = np.insert(
                 np.stack(np.unravel_index(first, plane.shape), axis=1), axis, at, axis=1
@@ -141,8 +151,10 @@ def _components(
             ends[known, axis, 1] = places
             fresh = ends[known, axis, 0, 0] < 0
             ends[known[fresh], axis, 0] = places[fresh]
-    empty = np.empty((0, 3), np.int64)
-    return tuple(
-        BrickComponent(ends[n], np.concatenate(gaps[n]) if n in gaps else empty)
-        for n in range(1, count + 1)
-    )
+    none = np.empty((0, 3), np.int64)
+    return tuple(BrickComponent(ends[n], wraps.get(n, none)) for n in numbers)
+
+
+def _ranks(periods: dict[int, np.ndarray]) -> list[int]:
+    """Return along how many directions each component repeats, sorted."""
+    return sorted(int(np.linalg.matrix_rank(gaps)) for gaps in periods.values())
