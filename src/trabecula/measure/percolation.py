@@ -189,7 +189,7 @@ def _meetings(labels: np.ndarray, axis: int, *, aside: bool) -> list[list[int]]:
     far, near = labels.take(-1, axis=axis), labels.take(0, axis=axis)
     first, second = (other for other in range(3) if other != axis)
     places = np.argwhere(far > 0)
-    found = [np.empty((0, 5), np.int64)]
+    found: list[np.ndarray] = [np.empty((0, 5), np.int64)]
     for shift in product((-1, 0, 1), repeat=2) if aside else [(0, 0)]:
         periods, beside = np.divmod(places + shift, far.shape)
         rows = np.zeros((len(places), 5), np.int64)

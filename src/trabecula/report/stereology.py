@@ -6,10 +6,10 @@
   volume holds at least that share in one. The converse is false: what is apart in every slice may
   be joined above or below, and no picture decides it.
 - Where one picture stands for all planes the material is isotropic (that is what it says), so
-  S_V = 4 / pi B_A (area per volume from the boundary's length per area; Ohser and Muecklich 2000,
-  "Statistical Analysis of Microstructures in Materials Science", table 2.3), the covariance along
-  the body diagonals, which lie in no slice along the axes, is that of the slices, and lines along
-  the three axes cross the interface equally often.
+  S_V = 4 / pi B_A (area per volume from the boundary's length per area: Crofton's formula for plane
+  sections; Ohser and Muecklich 2000, "Statistical Analysis of Microstructures in Materials
+  Science"), the covariance along the body diagonals, which lie in no slice along the axes, is that
+  of the slices, and lines along the three axes cross the interface equally often.
 """
 
 from __future__ import annotations

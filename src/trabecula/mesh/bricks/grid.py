@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from trabecula.core.progress import track
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.mesh.bricks.contacts import ContactTally
 
@@ -101,8 +102,9 @@ class BrickGrid:
 
     def planes(self) -> Iterator[np.ndarray]:
         """Yield the members of every plane, (Y, X) int16."""
-        z = 0
-        for slab in self.volume.slabs(max(AT_ONCE, self.volume.grain)):
+        z, depth = 0, max(AT_ONCE, self.volume.grain)
+        slabs = self.volume.slabs(depth)
+        for slab in track(slabs, "bricks", total=-(-self.volume.shape[0] // depth)):
             for plane in np.asarray(slab.values):
                 found = self.members[plane]
                 if self.keep is not None:

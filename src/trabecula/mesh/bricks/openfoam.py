@@ -1,6 +1,6 @@
 """OpenFOAM: a folder with the voxels as polyMesh and the dictionaries of a flow (.foam).
 
-Files of the mesh as in the User Guide, section 4.1: points, faces, owner, neighbour, boundary.
+Files of the mesh as the User Guide has them: points, faces, owner, neighbour, boundary.
 Inner faces come first, by their owner and then by their neighbour, which is the higher number; then
 the faces of one patch after the other. Normals point out of the owner. Voxels are numbered in
 raster order, so all of it is written plane by plane.

@@ -130,7 +130,7 @@ def _components(
     """
     if periods is None:
         labels, sizes = label_components(keep, connectivity=26)
-        numbers, wraps = range(1, len(sizes) + 1), dict[int, np.ndarray]()
+        numbers, wraps = list(range(1, len(sizes) + 1)), dict[int, np.ndarray]()
         hinged = len(label_components(keep)[1]) > len(sizes)
     else:
         labels, wraps = wrapping_components(keep, connectivity=26)
