@@ -10,7 +10,6 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
-from trabecula.core.checks import quote
 from trabecula.core.errors import InputError
 
 
@@ -164,6 +163,8 @@ def _brick_options(options: argparse.Namespace) -> dict[str, Any]:
 
 def _moduli(words: list[str]) -> Any:
     """Return (E, nu), or a mapping from phases to them."""
+    from trabecula.core.checks import quote
+
     found: dict[str, tuple[float, float]] = {}
     for word in words:
         name, _, pair = word.rpartition("=")

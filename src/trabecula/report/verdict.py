@@ -81,19 +81,20 @@ class Certificate(Findings):
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON: metrics with value, real_band and pass; the verdict, whole and by
-        group; the baseline's metrics; notes."""
+        group; the baseline's metrics; notes; of pictures what they do not decide."""
+        beyond = {"not_decided_by_picture": list(self.beyond_picture)} if self.by_pictures else {}
         return {
             "metrics": {name: metric.to_json() for name, metric in self.metrics.items()},
             "verdict": self.verdict,
             "passed": self.passed,
             "undecided": list(self.undecided),
-            "not_decided_by_picture": list(self.beyond_picture),
             "groups": self.groups,
             "baseline": None
             if self.baseline is None
             else {n: m.to_json() for n, m in self.baseline.items()},
             "level": self.about.get("level"),
             "notes": list(self.notes),
+            **beyond,
         }
 
     def __repr__(self) -> str:
