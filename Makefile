@@ -10,7 +10,7 @@ endif
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --durations 20
 
-.PHONY: demo test test-all test-extras test-soak coverage test-learn test-types test-cluster test-remote test-peers test-newest test-matrix mutants fuzz check docs gallery bench wheel clean
+.PHONY: demo test test-all test-extras test-soak coverage test-learn test-types test-cluster test-remote test-peers test-solvers test-newest test-matrix mutants fuzz check docs gallery bench wheel clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -49,6 +49,10 @@ test-remote: $(VENV)/dev.stamp $(VENV)/remote.stamp   ## the tests that need an 
 
 test-peers: $(VENV)/dev.stamp $(VENV)/peers.stamp   ## packages of the field take an image as an array, and are oracles: they are installed, 1.5 GB
 	$(BIN)/python -m pytest tests/peers
+
+test-solvers: $(VENV)/dev.stamp     ## CalculiX and OpenFOAM solve what is exported: apt-get installs them where it may, else the tests are skipped with a reason
+	@(which ccx && which simpleFoam) >/dev/null 2>&1 || apt-get install --yes --no-install-recommends calculix-ccx openfoam || echo "not installed: see the reasons of the skips"
+	$(BIN)/python -m pytest -rs tests/solvers
 
 fuzz: $(VENV)/dev.stamp             ## 10,000 damaged files and 1,000 strange calls: an error of ours or a sound result; minutes
 	$(BIN)/python tests/fuzz/run.py files --count 10000

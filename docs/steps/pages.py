@@ -222,6 +222,7 @@ def settings_of(spec: Capabilities) -> list[tuple[str, str, str]]:
 def formats_page() -> str:
     """Return the page of the suffixes that are read and written."""
     from trabecula.io.formats import SLICES, suffixes
+    from trabecula.mesh.bricks.formats import FORMATS as BRICKS
     from trabecula.mesh.formats import FORMATS, READABLE
 
     rows: dict[tuple[str, str], list[str]] = {}
@@ -233,6 +234,7 @@ def formats_page() -> str:
         (f"`{suffix}`", "read, written" if suffix in FORMATS else "read (extra `mesh`)", form.note)
         for suffix, form in READABLE.items()
     ]
+    bricks = [(f"`{suffix}`", form.note, ", ".join(form.cases)) for suffix, form in BRICKS.items()]
     return f"""# Formats
 
 How they are used: [read and write formats](../howto/formats.md).
@@ -244,6 +246,12 @@ How they are used: [read and write formats](../howto/formats.md).
 ## Surfaces
 
 {table(("suffix", "", "format"), surfaces)}
+
+## Bricks for solvers, written
+
+How they are used: [into a solver](../howto/solvers.md).
+
+{table(("suffix", "format", "load cases"), bricks)}
 """
 
 

@@ -145,3 +145,9 @@ def test_wrong_questions():
     with pytest.raises(InputError, match="no scan reaches"):
         confidence(image)["porosity"].side_for(0)
     assert math.isinf(confidence(image)["mean_curvature"].bounds[0])
+
+
+def test_a_box_has_the_axes_of_the_fields():
+    fields = np.random.default_rng(0).random((1, 40, 40))
+    with pytest.raises(InputError, match="has 3 numbers: give one"):
+        tb.measure.variance_of_means(fields, (4, 4, 4))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from trabecula.io.formats import FORMATS
 from trabecula.measure.registry import DESCRIPTORS
+from trabecula.mesh.bricks.formats import FORMATS as BRICKS
 from trabecula.mesh.formats import READABLE as SURFACES
 
 HOME = Path(__file__).parents[2]
@@ -28,6 +29,7 @@ def test_every_format_has_its_row():
     suffixes = [suffix for form in FORMATS for suffix in form.suffixes]
     assert sorted(names("Formats of volumes and pictures")) == sorted(suffixes)
     assert sorted(names("Formats of surfaces")) == sorted(SURFACES)
+    assert sorted(names("Formats of bricks")) == sorted(BRICKS)
 
 
 def test_every_named_test_exists():

@@ -117,6 +117,54 @@ def test_vtk_reads_surfaces(suffix, tmp_path):
     assert theirs.triangulate().clean().is_manifold
 
 
+def solid_part():
+    """Return a part of two phases, its share by label, and the volume of a voxel."""
+    values = PART.values + (np.indices(PART.shape).sum(0) % 3 == 0) * PART.values
+    values = values[1:, :, :-1]  # two faces are cut
+    part = tb.Image(values, "labels", PART.spacing, PART.unit, phases=("void", "a", "b"))
+    return part, np.bincount(values.ravel(), minlength=3), float(np.prod(PART.spacing))
+
+
+@pytest.mark.parametrize("suffix", [".inp", ".vtu"])
+def test_meshio_reads_bricks(suffix, tmp_path):
+    meshio = pytest.importorskip("meshio")
+    part, counts, _ = solid_part()
+    theirs = meshio.read(tb.export(part, tmp_path / f"x{suffix}"))
+    bricks = theirs.get_cells_type("hexahedron")
+    assert len(bricks) == counts[1:].sum()
+    edges = theirs.points[bricks[:, [1, 3, 4]]] - theirs.points[bricks[:, :1]]
+    np.testing.assert_allclose(np.linalg.det(edges), np.prod(part.spacing), rtol=1e-6)
+    if suffix == ".inp":
+        sets = theirs.cell_sets_dict
+        found = [len(sets[name]["hexahedron"]) for name in ("A", "B")]
+        assert {"X_HIGH", "Z_LOW"} == set(theirs.point_sets)
+    else:
+        found = [
+            np.count_nonzero(theirs.cell_data_dict["phase"]["hexahedron"] == n) for n in (1, 2)
+        ]
+    assert found == counts[1:].tolist()
+
+
+def test_vtk_reads_bricks(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    part, counts, voxel = solid_part()
+    theirs = pyvista.read(tb.export(part, tmp_path / "x.vtu"))
+    assert theirs.volume == pytest.approx(counts[1:].sum() * voxel)
+    for label in (1, 2):
+        one = theirs.threshold([label - 0.5, label + 0.5], scalars="phase")
+        assert one.volume == pytest.approx(counts[label] * voxel)
+
+
+def test_vtk_reads_an_openfoam_mesh(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    part, counts, voxel = solid_part()
+    case = tb.export(part, tmp_path / "x.foam", phase=["void", "a", "b"])
+    theirs = pyvista.OpenFOAMReader(str(case / "case.foam")).read()["internalMesh"]
+    assert theirs.n_cells == counts.sum()
+    metres = {"mm": 1e-3, "um": 1e-6}[part.unit]
+    assert theirs.volume == pytest.approx(counts.sum() * voxel * metres**3, rel=1e-4)
+
+
 def test_lib3mf_reads_a_part(tmp_path):
     lib3mf = pytest.importorskip("lib3mf")
     wrapper = lib3mf.get_wrapper()

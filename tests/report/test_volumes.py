@@ -11,6 +11,7 @@ from trabecula.report import verify
 from trabecula.report.band import LEAST_PART, parts
 from trabecula.report.metrics import find_descriptor
 from trabecula.report.planes import slice_planes, take_slices
+from trabecula.report.stereology import Joined
 from trabecula.report.summary_text import sentences
 
 
@@ -95,6 +96,92 @@ def test_what_only_a_volume_has_is_told_and_not_judged(volume, certificate):
     assert find_descriptor("percolates_3d_void").title == "Percolates of void, in 3-D"
     assert find_descriptor("porosity_yx_zx").title == "Porosity in yx and zx"
     assert any("not judged" in note for note in certificate.notes)
+
+
+@pytest.fixture(scope="module")
+def joined():
+    """Return a picture of a solid that is one component in every part, and a volume of it."""
+    return labels(smooth(18, (8, 112, 112), share=0.75)[4]), smooth(208, (48, 48, 48), share=0.75)
+
+
+@pytest.mark.whole
+def test_connections_that_slices_imply_are_judged(joined):
+    picture, values = joined
+    found = verify(picture, labels(values), level="quick")
+    solid, largest = (found.metrics[f"{name}_3d"] for name in ("percolates", "largest_fraction"))
+    assert solid.passed is True and largest.passed is True and largest.real_band[0] > 0.8
+    assert any("so it has to in space along z, y, x, and does" in note for note in found.notes)
+    assert not any("the solid is joined" in text for text in found.beyond_picture)
+    assert any("the void is joined" in text for text in found.beyond_picture)
+    assert found.metrics["percolates_3d_void"].passed is None
+    assert found.groups["connectivity"] is None, "a pass of the solid is none of the void"
+
+
+@pytest.mark.whole
+def test_a_volume_that_is_cut_fails_what_slices_imply(joined):
+    picture, values = joined
+    cut = values.copy()
+    cut[24] = 0  # a void plane: seven of eight slices of it show nothing of the sort
+    found = verify(picture, labels(cut), level="quick")
+    assert {"percolates_3d", "largest_fraction_3d"} <= set(found.failed)
+    assert found.metrics["percolates_3d"].value == {"z": False, "y": True, "x": True}
+    assert found.metrics["largest_fraction_3d"].value < 0.6
+    (said,) = (text for text in sentences(found) if text.startswith("Connectivity"))
+    assert "BROKEN" in said and "in 3-D" in said.split(";")[0], "what slices imply comes first"
+
+
+@pytest.mark.whole
+def test_what_is_apart_in_the_picture_is_not_decided_by_it():
+    """Take disks: balls that touch nowhere, rods, or one network have the same slices."""
+    spots = labels(smooth(30, (8, 112, 112), share=0.2)[4])
+    found = verify(spots, labels(smooth(31, (48, 48, 48), share=0.2)), level="quick")
+    assert found.metrics["largest_fraction_3d"].passed is None
+    assert found.metrics["percolates_3d"].passed is None
+    text, output = found.beyond_picture[0], found.to_table()
+    assert "whether the solid is joined in space" in text and "percolates along z, y, x)" in text
+    assert output.startswith("image: NOT DECIDED BY THIS PICTURE")
+    assert output.split("\n")[1].startswith("Not decided by this picture: whether the solid")
+    assert "[Connectivity: not decided by this picture]" in output
+    assert (
+        "not decided by this picture" in repr(found)
+        and "connectivity" not in output.split("Matches real material in: ")[1].split(".")[0]
+    )
+    for html in (found.to_html(), found._repr_html_()):
+        assert "not decided by this picture" in html and "Not decided by this picture" in html
+    assert found.to_json()["not_decided_by_picture"] == list(found.beyond_picture)
+    assert found.to_json()["groups"]["connectivity"] is None
+
+
+@pytest.mark.whole
+def test_isotropy_is_judged_in_directions_that_no_slice_shows(joined):
+    picture, values = joined
+    good = verify(picture, labels(values), level="quick").metrics
+    names = ("axes_apart", "oblique_covariance", "specific_surface_3d")
+    assert all(good[name].passed for name in names)
+    flat = tb.measure.specific_surface(labels(values))
+    assert good["specific_surface_3d"].value == flat
+    in_slices = good["specific_surface"]
+    assert good["specific_surface_3d"].exemplar == pytest.approx(in_slices.exemplar * 4 / np.pi)
+    long = labels(smooth(3, (48, 48, 48), share=0.75, widths=(3, 3, 7)))
+    assert verify(picture, long, level="quick").metrics["axes_apart"].passed is False
+    made = rods(0)
+    like = labels(smooth(4, (8, 128, 128), share=made.mean(), widths=(5, 5, 5))[4])
+    assert verify(like, labels(made), level="quick").metrics["oblique_covariance"].passed is False
+    views = verify(picture, labels(values), level="quick", views=["yx", "zx"]).metrics
+    assert not set(names) & set(views), "a picture of two planes says nothing of the third"
+
+
+def test_joined_planes_and_shares():
+    both = Joined(("y",), 1, (0.9, 0.8)).union(Joined(("z",), 1, (0.95, 0.7)))
+    assert both == Joined(("z", "y"), 2, (0.95, 0.7)) and both.implied
+    assert not Joined(("y", "x"), 1, (0.99, 0.9)).implied, "layers meet nowhere"
+    assert not Joined(("z", "y", "x"), 0, None).implied
+
+
+def test_curves_fit_into_the_parts_of_a_picture():
+    """Thirds of 96 pixels are 32, less than half of a side: curves of 47 do not fit."""
+    picture = labels(smooth(0, (96, 96)))
+    assert verify(picture, labels(smooth(1, (64, 64, 64))), level="quick").metrics
 
 
 @pytest.mark.whole
@@ -272,7 +359,7 @@ def test_the_command_line_and_the_page(tmp_path, monkeypatch, picture, volume):
     tb.write(labels(picture.values, spacing=4.0, unit="um"), "picture.tif")
     np.save("volume.npy", volume.values)  # states no spacing: takes that of the views
     output = trabecula("verify", "picture.tif", "volume.npy", "--quick", "--report", "page.html")
-    assert "volume.npy: NOT DECIDED" in output.out and "porosity_zx" in output.out
+    assert "volume.npy: NOT DECIDED BY THIS PICTURE" in output.out and "porosity_zx" in output.out
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert page.count("data:image/png") == 2, "slices of both, and a still of the volume"
     words = ("--pictures", "picture.tif", "--views", "yx,zx", "--quick")

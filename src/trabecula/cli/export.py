@@ -1,4 +1,6 @@
-"""`trabecula export FILE --out part.stl`."""
+"""`trabecula export FILE --out part.stl`, and bricks for solvers: `--out part.inp|.vtu|.foam
+[--phase NAME ...] [--case CASE] [--axis AXIS] [--strain S] [--moduli NAME=E,NU ...]`.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +17,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the file and the target."""
     parser.add_argument("file", metavar="FILE", help="volume")
     parser.add_argument(
-        "--out", required=True, metavar="FILE", help=".stl .3mf .ply .obj, or a volume's format"
+        "--out",
+        required=True,
+        metavar="FILE",
+        help=".stl .3mf .ply .obj, .inp .vtu .foam (bricks for solvers), or a volume's format",
     )
     parser.add_argument(
-        "--phase", help="phase whose surface is taken (default: every phase but void)"
+        "--phase",
+        nargs="+",
+        metavar="NAME",
+        help="phase whose surface is taken, or phases that become bricks, or parts of a .3mf "
+        "(default: every phase but void; of .foam void)",
     )
     parser.add_argument(
         "--beams",
@@ -31,24 +40,49 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="decimate the surface: fewer triangles, nowhere farther from it than this (try 0.5)",
     )
     shared.add_lengths(parser)
+    group = parser.add_argument_group("bricks for solvers")
+    group.add_argument(
+        "--case",
+        metavar="CASE",
+        help="load case of .inp: compression, shear or periodic; bricks that it does not reach are "
+        "left out",
+    )
+    group.add_argument("--axis", metavar="AXIS", help="of the load case or flow (default z)")
+    group.add_argument("--strain", type=float, metavar="S", help="of the load case (default 0.01)")
+    group.add_argument(
+        "--moduli",
+        nargs="+",
+        default=[],
+        metavar="NAME=E,NU",
+        help="Young's modulus and Poisson's ratio of a phase, or E,NU of all (default 1,0.3)",
+    )
     shared.add_memory(parser, "the .stl of a .zarr that needs more is written in slabs")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the surface or the voxels; of a surface, print a check of it."""
+    """Write the surface, the bricks or the voxels; of a surface, print a check of it."""
     from trabecula.io.files import read, write
     from trabecula.io.lengths import with_lengths
+    from trabecula.mesh.bricks.formats import FORMATS as BRICKS
     from trabecula.mesh.check import check
     from trabecula.mesh.files import write_mesh
     from trabecula.mesh.formats import FORMATS
     from trabecula.mesh.sizes import extent_of
     from trabecula.mesh.surface import mesh
-    from trabecula.pipeline.outputs import check_target
+    from trabecula.pipeline.outputs import check_no_bricks, check_target
 
     check_target(options.out, surfaces=True)
     tolerance = None
     if options.tolerance is not None:
         tolerance = shared.number(options.tolerance, name="--tolerance")
+    if Path(options.out).suffix.lower() in BRICKS:
+        if options.beams or tolerance is not None:
+            raise InputError("--beams and --tolerance are for surfaces: leave them out")
+        return _bricks(options)
+    check_no_bricks(options.out, _one_or_all(options.phase), _brick_options(options))
+    if options.phase and len(options.phase) > 1:
+        return _several(options, tolerance)
+    options.phase = options.phase[0] if options.phase else None
     in_memory = options.beams or tolerance is not None
     volume = None if in_memory else _too_large(options)
     if volume is not None:
@@ -71,6 +105,18 @@ def run(options: argparse.Namespace) -> int:
     print(f"{options.out}: {len(surface.vertices)} vertices, {len(surface.faces)} triangles")
     print(f"size {_size(extent_of(surface), surface.unit, options.out)}")
     terminal.show_mapping(vars(check(surface)))
+    return 0
+
+
+def _several(options: argparse.Namespace, tolerance: float | None) -> int:
+    """Write the surfaces of several phases into one file."""
+    from trabecula.io.files import read
+    from trabecula.pipeline.outputs import export
+
+    image = read(options.file)
+    given = {**shared.lengths(options), "beams": options.beams, "tolerance": tolerance}
+    export(image, options.out, phase=options.phase, **given)
+    print(f"{options.out}: {len(options.phase)} parts: {', '.join(options.phase)}")
     return 0
 
 
@@ -134,3 +180,67 @@ def _in_slabs(volume: Any, options: argparse.Namespace) -> int:
     print(f"size {_size(found.extent, volume.unit, options.out)}")
     print("closed by construction; not checked, since the surface was never in memory as a whole")
     return 0
+
+
+def _bricks(options: argparse.Namespace) -> int:
+    """Write bricks, and print how many there are and how they touch."""
+    from trabecula.io.files import read
+    from trabecula.io.lazy import slabs_if_large
+    from trabecula.io.lengths import with_lengths
+    from trabecula.mesh.bricks.export import export_bricks, in_core_bytes
+
+    need: dict[str, Any] = {"need": in_core_bytes, "memory": options.memory}
+    volume: Any = slabs_if_large(options.file, **need)
+    volume = read(options.file) if volume is None else volume
+    volume = with_lengths(volume, **shared.lengths(options))
+    found = export_bricks(
+        volume,
+        options.out,
+        phases=options.phase,
+        memory=options.memory,
+        **_brick_options(options),
+    )
+    by_phase = ", ".join(f"{count} {name}" for name, count in found.bricks.items())
+    print(f"{options.out}: {found.nodes} nodes, bricks: {by_phase}")
+    print(f"volume {found.volume:.6g} {volume.unit}^3, {found.size} bytes")
+    if found.pairs:
+        print(f"{found.pairs} nodes depend on their partners across the faces")
+    if found.left_out:
+        print(
+            f"{found.left_out} voxels are left out: they do not reach from face to face through "
+            "shared faces"
+        )
+    if found.edge_contacts or found.node_contacts:
+        print(
+            f"bricks touch by an edge alone at {found.edge_contacts} edges, by a node alone at "
+            f"{found.node_contacts} nodes: hinges in a solver"
+        )
+    return 0
+
+
+def _brick_options(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the options of bricks that are given."""
+    found = {name: getattr(options, name) for name in ("case", "axis", "strain")}
+    found["moduli"] = _moduli(options.moduli) if options.moduli else None
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _moduli(words: list[str]) -> Any:
+    """Return (E, nu), or a mapping from phases to them."""
+    from trabecula.core.checks import quote
+
+    found: dict[str, tuple[float, float]] = {}
+    for word in words:
+        name, _, pair = word.rpartition("=")
+        try:
+            young, poisson = (float(number) for number in pair.split(","))
+        except ValueError:
+            raise InputError(
+                f"--moduli {quote(word)} is not NAME=E,NU: give two numbers, such as solid=17e3,0.3"
+            ) from None
+        found[name] = (young, poisson)
+    return found[""] if list(found) == [""] else found
+
+
+def _one_or_all(phases: list[str] | None) -> str | list[str] | None:
+    return phases[0] if phases and len(phases) == 1 else phases

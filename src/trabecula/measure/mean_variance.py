@@ -30,6 +30,7 @@ from itertools import combinations
 
 import numpy as np
 
+from trabecula.core.checks import as_shape
 from trabecula.core.errors import InputError
 from trabecula.numerics.transforms import fast_side
 
@@ -74,7 +75,7 @@ def variance_of_means(
     Raises
     ------
     InputError
-        As `SpatialCovariance.of`.
+        As `SpatialCovariance.of`; a shape of other axes than the fields have.
 
     Examples
     --------
@@ -82,7 +83,8 @@ def variance_of_means(
     >>> float(variance_of_means(coins, (10, 10))[0, 0].round(4))
     0.0025
     """
-    return SpatialCovariance.of(fields, spacing=spacing).of_means(shape)
+    found = SpatialCovariance.of(fields, spacing=spacing)
+    return found.of_means(as_shape(shape, ndim=len(found.shape)))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -142,25 +143,61 @@ def wrapping_voxels(inside: np.ndarray) -> np.ndarray:
 
     They alone carry load: all others are islands, which an overall strain moves.
     """
-    labels, sizes = label_components(inside)
+    labels, periods = wrapping_components(inside)
+    bears = np.zeros(int(labels.max(initial=0)) + 1, bool)
+    bears[list(periods)] = True
+    return bears[labels]
+
+
+def wrapping_components(
+    inside: np.ndarray, *, connectivity: int = 6
+) -> tuple[np.ndarray, dict[int, np.ndarray]]:
+    """Label the components of the periodic box, and find along which periods they meet themselves.
+
+    Parameters
+    ----------
+    inside : bool array, (Z, Y, X)
+    connectivity : {6, 26}
+
+    Returns
+    -------
+    labels : int32 array, (Z, Y, X)
+    periods : dict
+        Label of every component that wraps -> (n, 3) int64: periods along z, y, x from a voxel to
+        itself; they span all directions that it wraps along.
+    """
+    labels, sizes = label_components(inside, connectivity=connectivity)
     count = len(sizes)
     parent = list(range(count + 1))
     # of a component's box, seen from its parent's
     offset: list[tuple[int, ...]] = [(0, 0, 0)] * (count + 1)
-    wraps = np.zeros(count + 1, bool)
+    gaps: list[tuple[int, tuple[int, ...]]] = []
     for axis in range(3):
-        step = tuple(int(axis == k) for k in range(3))
-        pairs = np.stack(
-            [labels.take(-1, axis=axis).ravel(), labels.take(0, axis=axis).ravel()], axis=1
-        )
-        for low, high in np.unique(pairs[(pairs > 0).all(axis=1)], axis=0).tolist():
-            _join(parent, offset, wraps, low, high, step)
-    roots = np.array([_root(parent, offset, k)[0] for k in range(count + 1)])
-    bears = np.zeros(count + 1, bool)
-    np.logical_or.at(bears, roots, wraps)
-    carries = bears[roots]
-    carries[0] = False
-    return carries[labels]
+        for low, high, *step in _meetings(labels, axis, aside=connectivity == 26):
+            _join(parent, offset, gaps, low, high, tuple(step))
+    roots = np.array([_root(parent, offset, k)[0] for k in range(count + 1)], np.int32)
+    found: dict[int, list[tuple[int, ...]]] = {}
+    for member, gap in gaps:
+        found.setdefault(int(roots[member]), []).append(gap)
+    return roots[labels], {root: np.unique(gap, axis=0) for root, gap in found.items()}
+
+
+def _meetings(labels: np.ndarray, axis: int, *, aside: bool) -> list[list[int]]:
+    """Return the labels that meet across the end faces of an axis, each with the periods z, y, x
+    that lie between; `aside`: also by an edge or a node.
+    """
+    far, near = labels.take(-1, axis=axis), labels.take(0, axis=axis)
+    first, second = (other for other in range(3) if other != axis)
+    places = np.argwhere(far > 0)
+    found: list[np.ndarray] = [np.empty((0, 5), np.int64)]
+    for shift in product((-1, 0, 1), repeat=2) if aside else [(0, 0)]:
+        periods, beside = np.divmod(places + shift, far.shape)
+        rows = np.zeros((len(places), 5), np.int64)
+        rows[:, 0], rows[:, 1] = far[tuple(places.T)], near[tuple(beside.T)]
+        rows[:, 2 + axis] = 1
+        rows[:, 2 + first], rows[:, 2 + second] = periods.T
+        found.append(np.unique(rows[rows[:, 1] > 0], axis=0))
+    return np.unique(np.concatenate(found), axis=0).tolist()
 
 
 def _root(parent: list[int], offset: list[tuple[int, ...]], k: int) -> tuple[int, tuple[int, ...]]:
@@ -179,16 +216,18 @@ def _root(parent: list[int], offset: list[tuple[int, ...]], k: int) -> tuple[int
 def _join(
     parent: list[int],
     offset: list[tuple[int, ...]],
-    wraps: np.ndarray,
+    gaps: list[tuple[int, tuple[int, ...]]],
     a: int,
     b: int,
     step: tuple[int, ...],
 ) -> None:
-    """Join component b, one `step` of boxes on, to a, which it touches."""
+    """Join component b, one `step` of boxes on, to a, which it touches; where they are one already,
+    note the periods between the two ways.
+    """
     root_a, from_a = _root(parent, offset, a)
     root_b, from_b = _root(parent, offset, b)
     gap = tuple(p + s - q for p, s, q in zip(from_a, step, from_b, strict=True))
     if root_a != root_b:
         parent[root_b], offset[root_b] = root_a, gap
     elif any(gap):
-        wraps[root_a] = True
+        gaps.append((root_a, gap))

@@ -146,6 +146,8 @@ class Descriptor:
     """Measured of slices of a volume; False where that of one slice is chance."""
     in_volume: bool = False
     """Reported of the whole volume beside its slices."""
+    implied: bool = False
+    """Of a volume judged by what slices imply, where they do."""
     worst: tuple[str, ...] = ()
     """Endings of the names for which the worst plane of slices counts: a mean over planes would
     hide one that is wrong."""
@@ -283,6 +285,19 @@ _TABLE = (
         "axes differs from that along the diagonals, over three correlation lengths; rods along "
         "the axes raise it. Only too much fails.",
     ),
+    Descriptor(
+        name="axes_apart", title="Interface crossings, axes apart", group="two-point",
+        source=JUDGED, rule=AT_MOST, normalised=True,
+        meaning="Of a volume held against one picture of all planes: largest difference between "
+        "the axes in how often lines along them cross the interface, over the mean.",
+    ),
+    Descriptor(
+        name="oblique_covariance", title="Covariance, body diagonals against slices",
+        group="two-point", source=JUDGED, rule=AT_MOST, normalised=True,
+        meaning="Of a volume held against one picture of all planes: relative l2 by which the "
+        "covariance along the body diagonals, which lie in no slice along the axes, differs from "
+        "the radial one of the slices, over three correlation lengths. Only too much fails.",
+    ),
     _curve(
         name="two_point_cluster", title="Two-point cluster function", measure=two_point_cluster,
         source=CURVES, level="default",
@@ -302,7 +317,7 @@ _TABLE = (
     ),
     _shape(
         name="specific_surface", title="Specific surface", measure=specific_surface, source=PLANES,
-        power=-1, field=surface_field, each=("phase",), streams=True, key=True,
+        power=-1, field=surface_field, each=("phase",), streams=True, key=True, implied=True,
         meaning="Area of the interface per volume; with `_z` twice the crossings of lines along z "
         "per length, which is the same in isotropic material.",
     ),
@@ -395,6 +410,7 @@ _TABLE = (
     _solid(
         name="largest_fraction", title="Largest component, share", measure=largest_fraction,
         rule=AT_LEAST, share=True, each=("phase",), fault="broken", key=True, in_volume=True,
+        implied=True,
         meaning="Share of the solid in its largest component. Only less than the band fails.",
     ),
     _solid(
@@ -406,7 +422,7 @@ _TABLE = (
     ),
     _solid(
         name="percolates", title="Percolates", measure=percolates, rule=AXES, each=("phase",),
-        by_axis=True, fault="broken", in_slices=False, in_volume=True,
+        by_axis=True, fault="broken", in_slices=False, in_volume=True, implied=True,
         meaning="Fails along an axis where the exemplar is connected from face to face and the "
         "result is not.",
     ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike, fspath
 from pathlib import Path
@@ -48,6 +49,40 @@ def write_mesh(mesh: Mesh, path: str | PathLike[str]) -> Path:
     with replacing(path) as temporary:
         form.member("write")(mesh, temporary)
     notify_size(extent_of(mesh), mesh.unit)
+    return path
+
+
+def write_parts(parts: Mapping[str, Mesh], path: str | PathLike[str]) -> Path:
+    """Write several surfaces, each with a material of its name, as objects of one part.
+
+    Parameters
+    ----------
+    parts : mapping of str to Mesh
+        Name -> surface; of one unit.
+    path : path
+        `.3mf`.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    InputError
+        Another suffix, surfaces of different units, or one without faces.
+    FileError
+        The file cannot be written.
+    """
+    path = Path(as_path_text(path))
+    if path.suffix.lower() != ".3mf":
+        raise InputError(f"{path}: several parts are written as .3mf alone; name it so")
+    units = {mesh.unit for mesh in parts.values()}
+    if len(units) != 1 or not all(len(mesh.faces) for mesh in parts.values()):
+        raise InputError("several parts need one unit, and faces each: there is nothing to write")
+    with replacing(path) as temporary:
+        surface_format(path).member("write_parts")(parts, temporary)
+    extent = tuple(max(sides) for sides in zip(*map(extent_of, parts.values()), strict=True))
+    notify_size(extent, units.pop())
     return path
 
 

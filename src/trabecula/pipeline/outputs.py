@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +13,21 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
-from trabecula.engine.lazy_volume import Slabs
+from trabecula.engine.lazy_volume import Slabs, as_slabs
 from trabecula.engine.storage import Remote, is_address, location_of, path_or_remote
 from trabecula.engine.store import open_unfinished
 from trabecula.io import files
 from trabecula.io.formats import format_of, suffix_of, suffixes
 from trabecula.io.lengths import with_lengths
+from trabecula.mesh.base import Mesh
 from trabecula.mesh.beam_file import write_beams
 from trabecula.mesh.beams import beam_lattice
+from trabecula.mesh.bricks.export import Moduli, export_bricks
+from trabecula.mesh.bricks.formats import FORMATS as BRICKS
 from trabecula.mesh.decimate import decimate
-from trabecula.mesh.files import write_mesh
+from trabecula.mesh.files import write_mesh, write_parts
 from trabecula.mesh.formats import FORMATS as SURFACES
+from trabecula.mesh.formats import SurfaceFormat
 from trabecula.mesh.slabs import export_slabs
 from trabecula.mesh.surface import mesh
 
@@ -32,24 +36,31 @@ def export(
     image: Image | Slabs | ArrayLike,
     path: str | os.PathLike[str],
     *,
-    phase: str | int | None = None,
+    phase: str | int | Sequence[str | int] | None = None,
     spacing: float | Sequence[float] | None = None,
     unit: str | None = None,
     scale: float | None = None,
     beams: bool = False,
     tolerance: float | None = None,
+    case: str | None = None,
+    axis: str | None = None,
+    strain: float | None = None,
+    moduli: Moduli | None = None,
 ) -> Path | Remote:
-    """Write an image for another program: the closed surface of a phase, or the voxels.
+    """Write an image for another program: the closed surface of a phase, bricks for a solver, or
+    the voxels.
 
     Parameters
     ----------
     image : Image or array of labels, or Slabs
-        Of `Slabs` the surface is written slab by slab, as .stl alone.
+        Of `Slabs` the surface is written slab by slab, as .stl alone; bricks in any format.
     path : path
-        The suffix chooses: a surface for .stl, .3mf, .ply and .obj, voxels for the formats of
+        The suffix chooses: a surface for .stl, .3mf, .ply and .obj; bricks for .inp (Abaqus,
+        CalculiX), .vtu and .foam (a folder with an OpenFOAM case); voxels for the formats of
         `trabecula.io.formats`.
     phase : str or int, optional
-        The phase whose surface is taken. Default: every phase but "void".
+        The phase whose surface is taken; of bricks and .3mf also several. Default: every phase but
+        "void"; of .foam "void".
     spacing, unit : optional
         Edge of a voxel, one number or one per axis (z, y, x), and its unit, where the image does
         not state them or they should be others. A surface whose unit is "voxel" is written in
@@ -62,6 +73,14 @@ def export(
     tolerance : float, optional
         Decimate the surface: fewer triangles, nowhere farther from it than so many voxels (of their
         shortest edge). Default: all triangles.
+    case : {"compression", "shear", "periodic"}, optional
+        Load case, of .inp.
+    axis : {"z", "y", "x"}, optional
+        Of the load case, or of the flow of .foam. Default: "z".
+    strain : float, optional
+        Of the load case, 1e-9 .. 1. Default: 0.01.
+    moduli : (E, nu), or mapping from the name of a phase to (E, nu), optional
+        Young's modulus and Poisson's ratio, of .inp. Default: (1, 0.3).
 
     Returns
     -------
@@ -70,9 +89,10 @@ def export(
     Raises
     ------
     UnknownNameError
-        A suffix that is neither a surface's nor a volume's; an unknown unit.
-    InputError, FileError
-        As `mesh`, `write_mesh` and `write`; a spacing or scale that is not above 0.
+        A suffix of no format; an unknown unit, case or axis.
+    InputError, FileError, MemoryBudgetError
+        As `mesh`, `write_mesh`, `write` and `mesh.bricks.export.export_bricks`; a spacing or scale
+        that is not above 0; a load case where there are no bricks.
     """
     check_target(path, surfaces=True)
     if beams and (isinstance(image, Slabs) or Path(path).suffix.lower() != ".3mf"):
@@ -82,6 +102,20 @@ def export(
         if beams or isinstance(image, Slabs):
             raise InputError("a tolerance is for a surface in memory: leave it out, or beams")
     lengths: dict[str, Any] = {"spacing": spacing, "unit": unit, "scale": scale}
+    given = {"case": case, "axis": axis, "strain": strain, "moduli": moduli}
+    bricks: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    if Path(path).suffix.lower() in BRICKS:
+        if beams or tolerance is not None:
+            raise InputError("beams and a tolerance are for surfaces: leave them out")
+        slabs = image if isinstance(image, Slabs) else as_slabs(as_image(image))
+        export_bricks(with_lengths(slabs, **lengths), path, phases=phase, **bricks)
+        return Path(path)
+    check_no_bricks(path, phase, bricks)
+    if phase is not None and not isinstance(phase, (str, int)):
+        if beams or isinstance(image, Slabs):
+            raise InputError("several phases are written from a volume in memory, as surfaces")
+        image = with_lengths(as_image(image), **lengths)
+        return write_parts({str(one): _surface(image, one, tolerance) for one in phase}, path)
     if isinstance(image, Slabs):
         export_slabs(with_lengths(image, **lengths), path, phase=phase)
         return Path(path)
@@ -89,13 +123,42 @@ def export(
     if beams:
         return write_beams(beam_lattice(image, phase=phase), path)
     if Path(path).suffix.lower() in SURFACES:
-        surface = mesh(image, phase=phase)
-        if tolerance is not None:
-            surface = decimate(surface, tolerance * min(image.spacing))
-        return write_mesh(surface, path)
+        return write_mesh(_surface(image, phase, tolerance), path)
     if tolerance is not None:
         raise InputError(f"{path} holds voxels, a tolerance is for a surface: leave it out")
     return files.write(image, path)
+
+
+def _surface(image: Image, phase: str | int | None, tolerance: float | None) -> Mesh:
+    """Return the surface of a phase, decimated where a tolerance in voxels is given."""
+    surface = mesh(image, phase=phase)
+    return surface if tolerance is None else decimate(surface, tolerance * min(image.spacing))
+
+
+def check_no_bricks(
+    path: str | os.PathLike[str],
+    phase: str | int | Sequence[str | int] | None,
+    options: Mapping[str, Any],
+) -> None:
+    """Raise where options of bricks are given for a surface or for voxels.
+
+    Raises
+    ------
+    InputError
+        A load case or several phases.
+    """
+    if options:
+        raise InputError(
+            f"{', '.join(options)} {'are' if len(options) > 1 else 'is'} for bricks: write "
+            f"{', '.join(BRICKS)}, not {Path(path).name}"
+        )
+    if phase is None or isinstance(phase, (str, int)):
+        return
+    if Path(path).suffix.lower() != ".3mf":
+        raise InputError(
+            f"{len(phase)} phases are named, and {Path(path).name} holds one: name one, or write "
+            f".3mf, or bricks ({', '.join(BRICKS)})"
+        )
 
 
 def check_target(
@@ -107,7 +170,7 @@ def check_target(
     ----------
     path : path or address
     surfaces : bool
-        Accept the suffixes of surfaces as well.
+        Accept the suffixes of surfaces and of bricks as well.
     size : int
         Bytes that are needed.
     resumes : bool
@@ -130,11 +193,12 @@ def check_target(
     suffix = suffix_of(text) or target.suffix.lower()
     is_folder = True
     if suffix or not text.endswith(("/", os.sep)):
-        known = {**suffixes(), **(SURFACES if surfaces else {})}
+        known: dict[str, Any] = {**suffixes(), **({**SURFACES, **BRICKS} if surfaces else {})}
         if not suffix:
             format_of(text)  # raises: there is none
         check_name(suffix, known, name="format")
-        is_folder = suffix not in SURFACES and suffixes()[suffix].folder
+        form = known[suffix]
+        is_folder = not isinstance(form, SurfaceFormat) and form.folder
     if not is_folder and target.is_dir():
         raise FileError(f"cannot write {path}: a folder of that name is there; choose another name")
     if is_folder and target.exists() and not target.is_dir():

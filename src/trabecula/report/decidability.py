@@ -155,8 +155,8 @@ def trend_reasons(exemplar: Image, *, what: str = "the exemplar") -> Iterator[st
 def picture_reason() -> str:
     """Return the reason why no picture decides on connections."""
     return (
-        "connections in space cannot be seen in a picture: figures in 3-D are reported and not "
-        "judged"
+        "connections in space cannot be seen in a picture: figures in 3-D are judged only where "
+        "slices imply them"
     )
 
 

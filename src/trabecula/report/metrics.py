@@ -81,7 +81,8 @@ def find_descriptor(name: str) -> Descriptor:
     title += f" {_AXES[axis]}" if axis else ""
     title += f" in {' and '.join(planes)}" if planes else ""
     if volume:
-        return replace(found, name=name, title=f"{title}, in 3-D", rule=REPORTED)
+        rule = found.rule if found.implied else REPORTED
+        return replace(found, name=name, title=f"{title}, in 3-D", rule=rule)
     return replace(found, name=name, title=title)
 
 

@@ -19,7 +19,15 @@ from trabecula.measure.correlation import covariance_form
 from trabecula.measure.registry import DESCRIPTORS, GROUPS, select
 from trabecula.report.metrics import find_descriptor, group_verdicts
 from trabecula.report.plot import curve_plot, density_map, hatching, key, place_plot
-from trabecula.report.summary_text import VERDICTS, band, headline, number, sentences
+from trabecula.report.summary_text import (
+    IN_SPACE,
+    VERDICTS,
+    band,
+    group_word,
+    headline,
+    number,
+    sentences,
+)
 
 if TYPE_CHECKING:
     from trabecula.report.verdict import Certificate
@@ -120,6 +128,9 @@ def _box(certificate: Certificate) -> str:
         False: ("fail", "FAIL", ": FAIL in ", ": outside the band in "),
         None: ("open", "NOT DECIDED", ": NOT DECIDED, though", ":"),
     }[certificate.passed]
+    if certificate.passed is None and certificate.beyond_picture:
+        word = "NOT DECIDED BY THIS PICTURE"
+        long = f": {word}, though"
     sentence, items = headline(certificate).replace(long, short), _items(certificate)
     reasons = f"<ul>{items}</ul>" if items else ""
     return f'<div class="verdict {kind}"><b>{word}</b> {escape(sentence)}{reasons}</div>'
@@ -140,7 +151,7 @@ def summary_html(certificate: Certificate) -> str:
     """Return the verdict and the groups of a certificate for a notebook, free of a page's style."""
     borders = {True: "2px solid #2b6b4f", False: "4px double #a3341f", None: "2px dashed #8a5a00"}
     rows = "".join(
-        f"<tr><td>{GROUPS[group]}</td><td>{VERDICTS[passed]}</td></tr>"
+        f"<tr><td>{GROUPS[group]}</td><td>{group_word(certificate, group, passed)}</td></tr>"
         for group, passed in certificate.groups.items()
     )
     return (
@@ -161,14 +172,21 @@ def _about(name: str, about: Mapping[str, Any] | None) -> str:
 
 def _group_table(certificates: Sequence[Certificate]) -> str:
     """Build the table of verdicts, group by group, images side by side and the baseline last."""
+    first = certificates[0]
     columns = {certificate.name: certificate.groups for certificate in certificates}
-    baseline = certificates[0].baseline
-    if baseline:
-        columns[f"{BASELINE} (baseline)"] = group_verdicts(baseline)
+    if first.baseline:
+        columns[f"{BASELINE} (baseline)"] = {
+            name: None if first.by_pictures and name in IN_SPACE and passed else passed
+            for name, passed in group_verdicts(first.baseline).items()
+        }
     head = "".join(f"<th>{escape(name)}</th>" for name in columns)
+
+    def cell(group: str, passed: bool | None) -> str:
+        return _verdict_cell(passed, group_word(first, group, passed))
+
     rows = "".join(
         f"<tr><td>{GROUPS[group]}</td>"
-        + "".join(_verdict_cell(verdicts.get(group), "") for verdicts in columns.values())
+        + "".join(cell(group, verdicts.get(group)) for verdicts in columns.values())
         + "</tr>"
         for group in certificates[0].groups
     )

@@ -29,7 +29,7 @@ from trabecula.report.metrics import find_descriptor
 SLICES = 8
 """Slices of a plane that are measured."""
 
-_DIAGONAL = "diagonal"
+DIAGONAL = "diagonal"
 """Curve of the covariance along the diagonals of slices."""
 
 
@@ -158,25 +158,23 @@ class SliceDescriptors:
         if max(image.spacing) > min(image.spacing) * (1 + 1e-4):
             return {}
         if not isinstance(self.inner, TextureDescriptors):
-            return {_DIAGONAL: two_point_diagonal(image, r_max=self.reach)}
+            return {DIAGONAL: two_point_diagonal(image, r_max=self.reach)}
         rho = autocorrelation(image, lags=min(self.reach, self.inner.lags))
         row, column = (side // 2 for side in rho.shape)  # of offset 0
         steps = np.arange(int(min(row, column) / np.sqrt(2)) + 1)
-        return {
-            _DIAGONAL: (rho[row + steps, column + steps] + rho[row + steps, column - steps]) / 2
-        }
+        return {DIAGONAL: (rho[row + steps, column + steps] + rho[row + steps, column - steps]) / 2}
 
     def _preference(self, curves: Mapping[str, np.ndarray]) -> dict[str, float]:
-        if _DIAGONAL not in curves:
+        if DIAGONAL not in curves:
             return {}
         if isinstance(self.inner, TextureDescriptors):
             lines = [curves[f"autocorrelation_{axis}"] for axis in "yx"]
             far = min(map(len, lines))
             axial = np.mean([line[:far] for line in lines], axis=0)
-            return {"texture_preference": preference_of(axial, curves[_DIAGONAL])}
+            return {"texture_preference": preference_of(axial, curves[DIAGONAL])}
         return {
             "axis_preference": preference(
-                (curves["two_point_axis_y"] + curves["two_point_axis_x"]) / 2, curves[_DIAGONAL]
+                (curves["two_point_axis_y"] + curves["two_point_axis_x"]) / 2, curves[DIAGONAL]
             )
         }
 

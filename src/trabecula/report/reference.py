@@ -176,7 +176,8 @@ class Reference:
             found[name] = Metric(value, band, passed, known[name])
         return found
 
-    def _sizes(self, measured: Measurements, name: str) -> Sizes:
+    def sizes_of(self, measured: Measurements, name: str) -> Sizes:
+        """Return the sizes of the samples that the band of a figure is about."""
         # Long waves move the density and what goes with it; figures that take the density out do
         # not feel them.
         exponent = 1.0 if DESCRIPTORS[stem(name)].normalised else self.exponent
@@ -192,7 +193,7 @@ class Reference:
         known = [number for number in self.spread.get(name, []) if number is not None]
         if len(known) < LEAST_COUNT:
             return Metric(value, None, None, 0.0)
-        high = distance_limit(known, self._sizes(measured, name))
+        high = distance_limit(known, self.sizes_of(measured, name))
         return Metric(
             value, (0.0, high), None if find_descriptor(name).rule == SHOWN else value <= high, 0.0
         )
@@ -213,7 +214,7 @@ class Reference:
         shown = None if own is None else own * scale / whole
         if rule == REPORTED or len(known) < LEAST_COUNT or own is None:
             return Metric(value, None, None, shown)
-        sizes = self._sizes(measured, name)
+        sizes = self.sizes_of(measured, name)
         if rule == AT_MOST:
             low, high = 0.0, excess_limit(known, own, sizes)
         else:

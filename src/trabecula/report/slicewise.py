@@ -1,8 +1,8 @@
 """The certificate of a volume whose exemplar is a picture, or one for each of several views.
 
-Slices of the volume are measured as the picture and its parts are, and their means are judged;
-figures that only a volume has (connectivity in 3-D, transport) are reported and not judged, since
-no picture says what they should be.
+Slices of the volume are measured as the picture and its parts are, and their means are judged.
+Figures that only a volume has are judged by what slices imply (`report.stereology`); where slices
+imply nothing they are reported, and the certificate says that the picture does not decide them.
 """
 
 from __future__ import annotations
@@ -14,12 +14,10 @@ import numpy as np
 
 from trabecula.core import progress
 from trabecula.core.image import Image
-from trabecula.measure.components import largest_fraction
 from trabecula.measure.describe import describe_numbers
 from trabecula.measure.effective_properties import describe_physics, physics_notes
-from trabecula.measure.percolation import percolates
 from trabecula.measure.registry import DESCRIPTORS
-from trabecula.report.band import LEAST_PART
+from trabecula.report.band import part_boxes
 from trabecula.report.baseline import gaussian_field
 from trabecula.report.compatibility import check_volume
 from trabecula.report.decidability import exemplar_reasons, level_reasons, picture_reason
@@ -41,6 +39,15 @@ from trabecula.report.planes import (
     take_slices,
 )
 from trabecula.report.reference import Reference, try_coherence
+from trabecula.report.stereology import (
+    Joined,
+    beyond,
+    implied_notes,
+    joined_in,
+    judge_connections,
+    judge_isotropy,
+    void_figures,
+)
 from trabecula.report.verdict import Certificate, about_image
 
 
@@ -68,9 +75,9 @@ def judge_volumes(
     smallest = min(
         min(min(image.shape) for image in images), *(min(picture.shape) for picture in pictures)
     )
-    reach = max(
-        1, min(r_max, smallest // 2, *(max(LEAST_PART, min(p.shape) // 2) - 1 for p in pictures))
-    )
+    boxes = [box for picture in pictures for box in part_boxes(picture.shape)]
+    fits = [each.stop - each.start - 1 for box in boxes for each in box]
+    reach = max(1, min(r_max, smallest // 2, *fits))
     judges = [_Judge(plane, images, reach, level) for plane in planes]
     found = []
     for image, name in progress.track(list(zip(images, names, strict=True)), "comparing"):
@@ -79,20 +86,32 @@ def judge_volumes(
             metrics |= judge.judge(image)
         whole, details = _measure_volume(image, level, box)
         metrics |= whole
+        joined: dict[str, Joined] = {}
+        for judge in judges if whole else []:
+            for ending, phase in judge.joined().items():
+                joined[ending] = phase.union(joined.get(ending, Joined()))
+        metrics |= judge_connections(joined, metrics)
         about = {"exemplar": about_image(pictures[0]), "image": about_image(image), "level": level}
         about["planes"] = {plane.suffix or "all": list(plane.planes) for plane in planes}
         if details:
             about["physics"] = {"exemplar": {}, "image": details}
         ordered = {name: metrics[name] for name in in_order(metrics)}
         own_notes = (note for judge in judges for note in judge.notes())
-        notes = (*own_notes, *_volume_notes(ordered, details))
+        notes = (*own_notes, *_volume_notes(ordered, joined, details))
         baseline = {key: m for judge in judges for key, m in judge.baseline.items()} or None
-        reasons = [reason for judge in judges for reason in judge.reasons(level)]
-        reasons += [picture_reason()] if images[0].kind == "labels" else []
-        curves = judges[0].curves(image)
+        reasons = [picture_reason()] if joined else []
+        reasons += [reason for judge in judges for reason in judge.reasons(level)]
         found.append(
             Certificate(
-                ordered, notes, name, curves, about, baseline, tuple(reasons), judges[0].maps(image)
+                ordered,
+                notes,
+                name,
+                judges[0].curves(image),
+                about,
+                baseline,
+                tuple(reasons),
+                judges[0].maps(image),
+                tuple(beyond(joined, ordered)) if joined else (),
             )
         )
     return found
@@ -115,8 +134,10 @@ class _Judge:
         self.copying = labels and level != "quick"
         # Counts and shares depend on how much is seen at once: parts of the picture are as large as
         # slices.
-        shape = [min(cut.shape[n] for cut in cuts) for n in range(2)]
-        self.reference = Reference(picture, self.descriptors, copying=self.copying, shape=shape)
+        self.shape = [min(cut.shape[n] for cut in cuts) for n in range(2)]
+        self.reference = Reference(
+            picture, self.descriptors, copying=self.copying, shape=self.shape
+        )
         self._measured: tuple[Image, Measurements] | None = None
         self.field = self.descriptors.measure(gaussian_field(picture)) if self.copying else None
         self.baseline = {}
@@ -153,7 +174,14 @@ class _Judge:
                 for name, descriptor in DESCRIPTORS.items()
                 if descriptor.by_plane and name in each[plane]
             }
+        if image.kind == "labels" and not self.own.suffix and len(planes) == 3:
+            found |= judge_isotropy(self.reference, image, whole, planes)
         return found
+
+    def joined(self) -> dict[str, Joined]:
+        """Return the connections in the picture, for slices of the image that was judged last."""
+        assert self._measured is not None
+        return joined_in(self.reference, self.own.planes, self._measured[1], self.shape)
 
     def _rename(self, metrics: Mapping[str, Metric]) -> dict[str, Metric]:
         suffix = f"_{self.own.suffix}" if self.own.suffix else ""
@@ -220,18 +248,17 @@ def _measure_volume(
         for name, value in numbers.items()
         if DESCRIPTORS[stem(name)].in_volume
     }
-    found |= {
-        f"largest_fraction_{VOLUME}_void": largest_fraction(image, phase="void"),
-        f"percolates_{VOLUME}_void": percolates(image, phase="void"),
-    }
-    return {name: Metric(value) for name, value in found.items()}, details
+    return {name: Metric(value) for name, value in found.items()} | void_figures(image), details
 
 
-def _volume_notes(metrics: Mapping[str, Metric], details: Mapping[str, Any]) -> Iterable[str]:
+def _volume_notes(
+    metrics: Mapping[str, Metric], joined: Mapping[str, Joined], details: Mapping[str, Any]
+) -> Iterable[str]:
     yield (
         f"The exemplar is a picture: at most {SLICES} slices a plane are judged by it. Figures in "
-        "3-D are reported and not judged, for no picture says what they should be."
+        "3-D are judged where slices imply them; the others are reported and not judged."
     )
+    yield from implied_notes(joined, metrics)
     if f"percolates_{VOLUME}" in metrics:
         yield from span_note(metrics[f"percolates_{VOLUME}"])
     yield from physics_notes(details)

@@ -7,12 +7,15 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from trabecula.measure.registry import AT_LEAST, AT_MOST, COUNT, DESCRIPTORS, DISTANCE, GROUPS
-from trabecula.report.metrics import Metric, find_descriptor, stem
+from trabecula.report.metrics import VOLUME, Metric, find_descriptor, stem
 
 if TYPE_CHECKING:
     from trabecula.report.verdict import Certificate
 
 VERDICTS = {True: "pass", False: "FAIL", None: "-"}
+
+IN_SPACE = ("connectivity", "physics")
+"""Groups that are about three dimensions: no picture can pass them."""
 
 MOST = 4
 """Figures of a group that fail and are named in a sentence; the table has the rest."""
@@ -24,7 +27,8 @@ def headline(certificate: Certificate) -> str:
     if certificate.passed is False:
         return f"{certificate.name}: FAIL in {len(certificate.failed)} of {judged} figures"
     if certificate.passed is None:
-        return f"{certificate.name}: NOT DECIDED, though none of {judged} figures failed"
+        by = " BY THIS PICTURE" if certificate.beyond_picture else ""
+        return f"{certificate.name}: NOT DECIDED{by}, though none of {judged} figures failed"
     return (
         f"{certificate.name}: PASS, all {judged} figures lie within what other samples of the "
         "material differ by"
@@ -38,11 +42,13 @@ def sentences(certificate: Certificate) -> list[str]:
     verdicts = certificate.groups
     matching = [GROUPS[group].lower() for group, passed in verdicts.items() if passed]
     lead = "Not decided" if certificate.passed is None else "Even without a failure not decided"
-    found = [f"{lead}: {reason}." for reason in certificate.undecided]
+    found = [f"Not decided by this picture: {text}." for text in certificate.beyond_picture]
+    found += [f"{lead}: {reason}." for reason in certificate.undecided]
     found += [f"Matches real material in: {', '.join(matching)}."] if matching else []
     for group, passed in verdicts.items():
         if passed is False:
             wrong = [name for name in certificate.failed if find_descriptor(name).group == group]
+            wrong.sort(key=lambda name: VOLUME not in name.split("_"))  # what slices imply first
             lead = GROUPS[group]
             faults = {DESCRIPTORS[stem(name)].fault for name in wrong}
             if "broken" in faults:
@@ -128,7 +134,7 @@ def table(certificate: Certificate) -> str:
     ]
     verdicts = certificate.groups
     for group, members in rows.items():
-        lines.append(f"[{GROUPS[group]}: {VERDICTS[verdicts[group]]}]")
+        lines.append(f"[{GROUPS[group]}: {group_word(certificate, group, verdicts[group])}]")
         lines += [line(cells) for cells in members]
     return "\n".join([*lines, *(fold("note: ", note) for note in certificate.notes)])
 
@@ -145,9 +151,18 @@ def summary(certificate: Certificate) -> str:
     for group, passed in certificate.groups.items():
         judged = [verdict for verdict in members[group] if verdict is not None]
         count = f"{sum(judged)} of {len(judged)} figures" if judged else "no figure judged"
-        lines.append(f"{GROUPS[group].ljust(width)}  {VERDICTS[passed].ljust(4)}  {count}")
+        word = group_word(certificate, group, passed)
+        lines.append(f"{GROUPS[group].ljust(width)}  {word.ljust(4)}  {count}")
     lines.append("Every figure: .to_table(), .metrics; as a page: .to_html(PATH)")
     return "\n".join("\n".join(lines).split("\n")[:60])
+
+
+def group_word(certificate: Certificate, group: str, passed: bool | None) -> str:
+    """Return the verdict of a group in a word; of connections where a picture cannot decide them,
+    in words."""
+    if passed is None and group in IN_SPACE and certificate.by_pictures:
+        return "not decided by this picture"
+    return VERDICTS[passed]
 
 
 def fold(lead: str, text: str) -> str:

@@ -10,10 +10,7 @@ from trabecula.core.image import Image, describe_fields
 from trabecula.report.findings import Findings
 from trabecula.report.metrics import Metric, all_passed, group_verdicts
 from trabecula.report.page import Pictures, page, summary_html
-from trabecula.report.summary_text import summary, table
-
-IN_SPACE = ("connectivity", "physics")
-"""Groups that are about three dimensions: no picture can pass them."""
+from trabecula.report.summary_text import IN_SPACE, summary, table
 
 
 @dataclass(frozen=True, repr=False)
@@ -44,6 +41,9 @@ class Certificate(Findings):
     """By "exemplar" and "image", by axis: a map of the local fraction in the middle plane across
     that axis.
     """
+    beyond_picture: tuple[str, ...] = ()
+    """What a picture does not decide about a volume, with the volume's own figures; empty where the
+    exemplar is no picture."""
 
     @property
     def passed(self) -> bool | None:
@@ -64,20 +64,25 @@ class Certificate(Findings):
         return tuple(name for name, metric in self.metrics.items() if metric.passed is False)
 
     @property
+    def by_pictures(self) -> bool:
+        """Return whether a volume is judged by pictures, which decide nothing about connections."""
+        return "planes" in self.about
+
+    @property
     def groups(self) -> dict[str, bool | None]:
         """Return the verdict of each group of figures that was measured: "two-point", "shape", ...
         None where none was judged; slices that match a picture decide nothing about connections in
         space."""
         found = group_verdicts(self.metrics)
-        pictures = "planes" in self.about
         return {
-            name: None if pictures and name in IN_SPACE and passed else passed
+            name: None if self.by_pictures and name in IN_SPACE and passed else passed
             for name, passed in found.items()
         }
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON: metrics with value, real_band and pass; the verdict, whole and by
-        group; the baseline's metrics; notes."""
+        group; the baseline's metrics; notes; of pictures what they do not decide."""
+        beyond = {"not_decided_by_picture": list(self.beyond_picture)} if self.by_pictures else {}
         return {
             "metrics": {name: metric.to_json() for name, metric in self.metrics.items()},
             "verdict": self.verdict,
@@ -89,6 +94,7 @@ class Certificate(Findings):
             else {n: m.to_json() for n, m in self.baseline.items()},
             "level": self.about.get("level"),
             "notes": list(self.notes),
+            **beyond,
         }
 
     def __repr__(self) -> str:

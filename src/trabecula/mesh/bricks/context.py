@@ -1,0 +1,43 @@
+"""What a format needs beside the bricks, and what it reports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from trabecula.core.recipe import Recipe
+from trabecula.mesh.bricks.faces import FaceNodes
+from trabecula.mesh.bricks.load_case import LoadCase
+from trabecula.mesh.text import recipe_json
+
+COMMENT = 100
+"""Characters of a line of comment: solvers read long lines in parts, of which the next would be no
+comment."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExportContext:
+    """What is written beside nodes and bricks.
+
+    Attributes
+    ----------
+    unit : str
+    recipe : Recipe
+    moduli : dict
+        Name of a phase -> Young's modulus and Poisson's ratio.
+    faces : FaceNodes, optional
+    case : LoadCase, optional
+    axis : int
+        Of the flow.
+    """
+
+    unit: str
+    recipe: Recipe
+    moduli: dict[str, tuple[float, float]] = field(default_factory=dict)
+    faces: FaceNodes | None = None
+    case: LoadCase | None = None
+    axis: int = 0
+
+    def recipe_lines(self) -> list[str]:
+        """Return the recipe in lines that are short enough for a comment."""
+        text = recipe_json(self.recipe)
+        return [text[start : start + COMMENT] for start in range(0, len(text), COMMENT)]
