@@ -10,7 +10,7 @@ endif
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --durations 20
 
-.PHONY: demo test test-all test-extras test-soak coverage test-learn test-types test-cluster test-remote test-peers test-solvers test-newest test-matrix mutants fuzz check docs gallery bench wheel clean
+.PHONY: demo test test-all test-extras test-soak coverage test-learn test-types test-cluster test-remote test-peers test-solvers test-printers test-newest test-matrix mutants fuzz check docs gallery bench wheel clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -53,6 +53,10 @@ test-peers: $(VENV)/dev.stamp $(VENV)/peers.stamp   ## packages of the field tak
 test-solvers: $(VENV)/dev.stamp     ## CalculiX and OpenFOAM solve what is exported: apt-get installs them where it may, else the tests are skipped with a reason
 	@(which ccx && which simpleFoam) >/dev/null 2>&1 || apt-get install --yes --no-install-recommends calculix-ccx openfoam || echo "not installed: see the reasons of the skips"
 	$(BIN)/python -m pytest -rs tests/solvers
+
+test-printers: $(VENV)/dev.stamp    ## PrusaSlicer reads and slices what is exported: apt-get installs it where it may, else the tests are skipped with a reason
+	@which prusa-slicer >/dev/null 2>&1 || apt-get install --yes --no-install-recommends prusa-slicer || echo "not installed: see the reasons of the skips"
+	$(BIN)/python -m pytest -rs tests/printers
 
 fuzz: $(VENV)/dev.stamp             ## 10,000 damaged files and 1,000 strange calls: an error of ours or a sound result; minutes
 	$(BIN)/python tests/fuzz/run.py files --count 10000

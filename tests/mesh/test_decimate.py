@@ -54,6 +54,13 @@ def test_flat_faces_take_few_triangles():
     assert check(fewer).volume == pytest.approx(check(block).volume, rel=0.01)
 
 
+def test_nothing_leaves_the_box_of_the_surface(pair):
+    surface, fewer = pair
+    for whole, part in ((surface.vertices.min(axis=0), -1), (surface.vertices.max(axis=0), 1)):
+        end = fewer.vertices.max(axis=0) if part > 0 else fewer.vertices.min(axis=0)
+        assert np.allclose(end, whole, atol=1e-5)
+
+
 def test_a_ball_stays_round():
     surface = ball()
     fewer = decimate(surface, 0.5)

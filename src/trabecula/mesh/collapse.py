@@ -73,7 +73,8 @@ def collapse_edges(
     around = np.empty(_ROOM * len(surface.faces), np.int32)
     _list_faces(surface.faces, offsets, around)
     lists = offsets[:-1].copy(), np.diff(offsets)
-    return int(_collapse(*surface, squared, *lists, around, grid, tolerance, cost, original))
+    box = np.stack([original.min(axis=0), original.max(axis=0)])
+    return int(_collapse(*surface, squared, *lists, around, grid, tolerance, cost, original, box))
 
 
 def compact(surface: Surface, squared: np.ndarray) -> tuple[Surface, np.ndarray]:
@@ -278,6 +279,7 @@ def _collapse(
     tolerance,
     cost,
     original,
+    box,
 ):
     written = 3 * len(faces)
     mark = np.zeros(len(positions), np.int32)  # 1: next to one end, 2: next to both
@@ -351,6 +353,8 @@ def _collapse(
                 continue
 
             _keep_volume(positions, faces, star[:count], dying0, dying1, i, j, tolerance, p)
+            for axis in range(3):  # flat faces on the box of the surface stay on it
+                p[axis] = min(max(p[axis], box[0, axis]), box[1, axis])
 
             # normals and shapes
             good = True
