@@ -6,6 +6,7 @@ Every operation adds a step to the recipe; `trapped` and `print_check` change no
 from trabecula.finish.closed_pores import fill_trapped, trapped
 from trabecula.finish.connect import connect
 from trabecula.finish.crust import add_crust
+from trabecula.finish.drain import drain
 from trabecula.finish.floaters import remove_floaters
 from trabecula.finish.forms import mask_steps, periodic_axes
 from trabecula.finish.operations import OPERATIONS
@@ -20,6 +21,7 @@ __all__ = [
     "PrintCheck",
     "add_crust",
     "connect",
+    "drain",
     "fill_trapped",
     "finish_slabs",
     "mask_steps",

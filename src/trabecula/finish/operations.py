@@ -16,6 +16,7 @@ from trabecula.core.image import Image
 from trabecula.finish.closed_pores import fill_trapped, fill_trapped_in_place
 from trabecula.finish.connect import connect, connect_in_place
 from trabecula.finish.crust import add_crust
+from trabecula.finish.drain import drain
 from trabecula.finish.floaters import remove_floaters, remove_floaters_in_place
 from trabecula.finish.prune import prune
 from trabecula.finish.smooth import smooth
@@ -181,6 +182,17 @@ _DECLARED = (
         Option("--floaters", "remove every component but the largest"),
         bytes_per_voxel=5,
         in_place=remove_floaters_in_place,
+    ),
+    Operation(
+        "drain",
+        drain,
+        Option(
+            "--drain",
+            "open closed pores by straight holes: their diameter, in the image's unit",
+            setting="width",
+            metavar="D",
+        ),
+        bytes_per_voxel=24,
     ),
     Operation(
         "fill_trapped",
