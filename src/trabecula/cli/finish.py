@@ -28,6 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for operation in OPERATIONS.values():
         _add_option(group, operation.option)
     parser.add_argument(
+        "--for",
+        dest="printer",
+        metavar="PRINTER",
+        help="sls, sla or fdm: what its limits ask for (connect, thicken to its wall, drain by "
+        "holes that it can clear), where the options do not say otherwise; then what check finds "
+        "is printed",
+    )
+    parser.add_argument(
         "--like", metavar="EXEMPLAR", help="for --prune: the exemplar, whose free ends are no fault"
     )
     parser.add_argument("--phase", help="phase that is finished (default: every phase but void)")
@@ -110,6 +118,8 @@ def run(options: argparse.Namespace) -> int:
         for option in operation.more:
             if getattr(options, option.name) is not None and not chosen:
                 raise InputError(f"{option.flag} is for {flag}: give {flag} as well")
+    if options.printer is not None:
+        _fit_printer(options)
     steps = list(_steps(options))
     if not steps:
         every = [operation.option for operation in OPERATIONS.values()]
@@ -130,7 +140,45 @@ def run(options: argparse.Namespace) -> int:
                 for name, value in step["report"].items()
             }
         )
+    if options.printer is not None:
+        _show_check(options)
     return 0
+
+
+def _fit_printer(options: argparse.Namespace) -> None:
+    """Choose the operations that a printer's limits ask for, where the options do not."""
+    from trabecula.finish.printers import printer_of
+    from trabecula.io.files import read
+    from trabecula.io.lazy import open_slabs, volume_shape
+    from trabecula.io.units import NO_LENGTH, to_metres
+
+    printer = printer_of(options.printer, {})
+    unit = options.unit
+    if unit is None:
+        stored = volume_shape(options.file, level=options.level) is not None
+        unit = (open_slabs if stored else read)(options.file, level=options.level).unit
+    if unit == NO_LENGTH:
+        raise InputError(
+            "--for needs the size of the part, which its file does not state: give --spacing and "
+            "--unit"
+        )
+    millimetre = 0.001 / to_metres(unit)
+    options.connect = True
+    if options.thicken is None:
+        options.thicken = f"{printer.wall * millimetre:.9g}"
+    if options.drain is None and not options.fill and printer.passage is not None:
+        options.drain = f"{printer.passage * millimetre:.9g}"
+
+
+def _show_check(options: argparse.Namespace) -> None:
+    """Print what a printer would still refuse or warn of."""
+    from trabecula.finish.printing import print_check
+    from trabecula.io.files import read
+
+    found = print_check(
+        read(options.out), printer=options.printer, phase=options.phase, memory=options.memory
+    )
+    print(found.to_table())
 
 
 def _in_core(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, Sequence[Any]]:
