@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -74,6 +75,13 @@ class Displacement:
         return self.radius_map >= np.float32(radius)
 
 
+class Neighbours(TypedDict):
+    """Arguments of `flooding.widest_paths`."""
+
+    connectivity: int
+    wraps: tuple[bool, ...]
+
+
 @dataclass(frozen=True)
 class Pores:
     """The phase that holds the fluids, as (Z, Y, X), and how its voxels are neighbours."""
@@ -86,6 +94,11 @@ class Pores:
     connectivity: int
     inlet: np.ndarray
     outlet: np.ndarray | None
+
+    @property
+    def neighbours(self) -> Neighbours:
+        """Return the steps that paths take."""
+        return {"connectivity": self.connectivity, "wraps": self.wraps}
 
     @property
     def scale(self) -> float:

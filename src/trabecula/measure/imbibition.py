@@ -76,10 +76,9 @@ def imbibition(
     """
     pores = find_pores(image, phase, inlet, None, connectivity, periodic)
     capillary_pressure(np.ones(1), pores.image, surface_tension, contact_angle)
-    paths = {"connectivity": pores.connectivity, "wraps": pores.wraps}
     begin = pores.inside
     if start is None:
-        begin = widest_paths(begin.astype(np.int32), pores.inlet, top=1, **paths) > 0
+        begin = widest_paths(begin.astype(np.int32), pores.inlet, top=1, **pores.neighbours) > 0
     else:
         begin = _as_start(start, pores.image.shape, pores.inside)
     spheres = pores.spheres(begin)
@@ -87,7 +86,7 @@ def imbibition(
     rank = pores.paint(spheres.radius, spheres)
     stays = np.zeros(rank.shape, bool)
     if trapping:
-        stays = widest_paths(rank, pores.inlet, top=spheres.top, **paths) < rank
+        stays = widest_paths(rank, pores.inlet, top=spheres.top, **pores.neighbours) < rank
     moves, saturation = curve(pores, rank, stays, radii, rising=True)
     shape = pores.image.shape
     found = radii[rank]
