@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import math
 from typing import Any
-
-import numpy as np
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
@@ -98,7 +97,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 def _to_json(found: Any) -> dict[str, Any]:
     """Return a curve; the infinite radius at its end is None."""
     return {
-        "radii": [one if np.isfinite(one) else None for one in found.radii.tolist()],
+        "radii": [one if math.isfinite(one) else None for one in found.radii.tolist()],
         "saturation": found.saturation.tolist(),
         "pressure": None if found.pressure is None else found.pressure.tolist(),
         "trapped": found.trapped,
@@ -114,7 +113,7 @@ def show(found: dict[str, Any]) -> None:
         print()
         print(f"{name}: trapped {terminal.brief(curve['trapped'])} of the phase")
         last = len(curve["radii"]) - 1
-        kept = np.unique(np.rint(np.linspace(0, last, min(_ROWS, last + 1))).astype(int)).tolist()
+        kept = sorted({round(k * last / (_ROWS - 1)) for k in range(_ROWS)}) if last >= 0 else []
         pressures = curve["pressure"]
         head = ("radius", "saturation") + (("pressure, Pa",) if pressures else ())
         rows: list[tuple[str, ...]] = [head]
