@@ -148,6 +148,20 @@ def test_a_tube_is_entered_at_its_radius(radius):
     assert found.trapped == 0 and found.saturation[-1] == 1
 
 
+def test_the_outlet_may_be_all_other_faces():
+    values = pores((14, 15, 16), 6)
+    inlet, rest = ends(values.shape, 1, 0), np.zeros(values.shape, bool)
+    for axis in range(3):
+        for side in (0, -1):
+            rest |= ends(values.shape, axis, side)
+    radii, trapped, entry = brute_drainage(values == 0, inlet, rest & ~inlet, trapping=True)
+    found = drainage(values, inlet=(1, 0), outlet="all", trapping=True)
+    np.testing.assert_allclose(found.radius_map, radii, rtol=1e-6)
+    np.testing.assert_array_equal(found.trapped_map, trapped)
+    assert found.entry_radius == pytest.approx(entry)
+    assert found.trapped < drainage(values, inlet=(1, 0), trapping=True).trapped
+
+
 def test_of_two_tubes_the_wide_one_drains_first():
     values = np.concatenate([tube(6.0), tube(3.0)], axis=2)
     found = drainage(values)
@@ -279,6 +293,8 @@ def test_what_cannot_be_drained_is_refused(bottle):
         drainage(bottle, inlet=(3, 0))
     with pytest.raises(InputError, match="inlet and outlet are both"):
         drainage(bottle, inlet=(0, 0), outlet=(0, 0))
+    with pytest.raises(InputError, match="all faces are the inlet"):
+        drainage(bottle, inlet="all", outlet=(0, 0))
     with pytest.raises(InputError, match="trapping needs an outlet"):
         drainage(bottle, inlet="all", trapping=True)
     with pytest.raises(InputError, match="every axis is periodic"):

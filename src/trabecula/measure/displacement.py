@@ -168,6 +168,10 @@ def find_pores(
         leaves = None if isinstance(enters, str) else (enters[0], -1 - enters[1])
     else:
         leaves = _as_face(outlet, image.ndim, name="outlet")
+        if isinstance(enters, str):
+            raise InputError(
+                f"outlet {quote(outlet)} while all faces are the inlet: name one face as the inlet"
+            )
         if leaves == enters:
             raise InputError(f"inlet and outlet are both {quote(inlet)}: give two faces")
     ends = {face[0] for face in (enters, leaves) if isinstance(face, tuple)}
