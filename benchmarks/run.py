@@ -21,6 +21,7 @@ import big_whole
 import bubbles
 import bubbles_figures
 import bubbles_fit
+import drainage
 import ensemble_rates
 import ensembles
 import evenness
@@ -117,6 +118,8 @@ CASES: dict[str, Callable[[], None]] = {
     "surfaces": printing.surfaces,
     "layers": printing.layers,
     "intervals": intervals.intervals,
+    "drainage": drainage.drainage,
+    "drainage_tubes": drainage.drainage_tubes,
     "measures": measures,
     "large": large,
     "descriptors": descriptors,

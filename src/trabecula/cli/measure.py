@@ -1,5 +1,5 @@
 """`trabecula measure FILE [--phase NAME|all] [--quick | --full] [--confidence [LEVEL]]
-[--sizes HTML] [--memory GIB] [--json]`.
+[--sizes HTML] [--drainage [AXIS]] [--memory GIB] [--json]`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from itertools import combinations
 from typing import Any
 
 from trabecula.cli import options as shared
-from trabecula.cli import terminal
+from trabecula.cli import terminal, two_fluids
 from trabecula.core.errors import InputError
 
 EACH = ("phases", "pairs", "triples")
@@ -26,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     shared.add_memory(parser, "a .zarr of labels that needs more is measured in slabs")
     shared.add_level(parser)
     _add_confidence(parser)
+    two_fluids.add_arguments(parser)
     shared.add_reading(parser)
 
 
@@ -62,11 +63,13 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             "--confidence is of the solid and of every phase's fraction: leave out --phase"
         )
-    found = _describe(options)
+    two_fluids.check(options)
+    show = _show if options.drainage is None else two_fluids.show
+    found = _describe(options) if options.drainage is None else two_fluids.measure(options)
     if options.json:
         terminal.show_json(found)
     else:
-        _show(found)
+        show(found)
     return 0
 
 

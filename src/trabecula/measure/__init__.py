@@ -35,13 +35,16 @@ from trabecula.measure.correlation import (
     two_point_cluster,
 )
 from trabecula.measure.describe import describe, describe_texture
+from trabecula.measure.displacement import Displacement
 from trabecula.measure.distance import distance_transform, signed_distance
+from trabecula.measure.drainage import drainage
 from trabecula.measure.each_phase import describe_phases
 from trabecula.measure.effective_properties import describe_physics
 from trabecula.measure.evenness import Evenness, evenness
 from trabecula.measure.fabric import anisotropy, fabric
 from trabecula.measure.fractions import porosity, specific_surface, volume_fractions
 from trabecula.measure.grey import autocorrelation, histogram, kullback_leibler, ten_bins
+from trabecula.measure.imbibition import imbibition
 from trabecula.measure.mean_variance import SpatialCovariance, variance_of_means
 from trabecula.measure.mechanics import Stiffness, stiffness
 from trabecula.measure.minkowski import Minkowski, euler, euler_density, mean_curvature, minkowski
@@ -66,6 +69,7 @@ from trabecula.measure.triple_lines import (
 )
 
 __all__ = [
+    "Displacement",
     "Effective",
     "Evenness",
     "Interval",
@@ -100,6 +104,7 @@ __all__ = [
     "diffusivity",
     "distance_transform",
     "diversity",
+    "drainage",
     "euler",
     "euler_density",
     "evenness",
@@ -107,6 +112,7 @@ __all__ = [
     "floating",
     "floating_voxels",
     "histogram",
+    "imbibition",
     "kullback_leibler",
     "label_components",
     "largest_fraction",
