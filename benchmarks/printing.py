@@ -9,6 +9,7 @@ import numpy as np
 
 import trabecula as tb
 from common import busy, table
+from crossings import crossings
 from descriptors import scans
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.beam_file import write_beams
@@ -33,9 +34,9 @@ def surfaces() -> None:
     """Triangles, files and distances of whole and decimated surfaces, and of beams.
 
     Distances are in voxels, at samples of half a voxel: from the whole surface to the other, back,
-    and the mean; `volume` is over the whole surface's.
+    and the mean; `volume` is over the whole surface's; `crossing` are triangles that cross another.
     """
-    heads = ("triangles", "3MF kB", "STL kB", "there", "back", "mean", "volume", "CPU s")
+    heads = ("triangles", "crossing", "3MF kB", "STL kB", "there", "back", "mean", "volume", "s")
     row = table("part, what", *heads, wide=36)
     decimate(tb.mesh(np.ones((8, 8, 8), np.uint8)), 0.5)  # compiles
     beam_lattice(np.ones((8, 8, 8), np.uint8))
@@ -62,6 +63,7 @@ def surfaces() -> None:
             row(
                 f"{name}, {len(lattice.beams)} beams",
                 "",
+                "",
                 f"{size / 1000:.0f}",
                 "",
                 "",
@@ -75,7 +77,12 @@ def surfaces() -> None:
 def _sizes(surface: Mesh, folder: Path) -> list[str]:
     """Return the triangles, and the kilobytes of its files."""
     files = [write_mesh(surface, folder / f"part{suffix}") for suffix in (".3mf", ".stl")]
-    return [f"{len(surface.faces)}", *(f"{file.stat().st_size / 1000:.0f}" for file in files)]
+    crossing = crossings(surface, 1.5)
+    return [
+        f"{len(surface.faces)}",
+        f"{crossing}",
+        *(f"{file.stat().st_size / 1000:.0f}" for file in files),
+    ]
 
 
 def layers() -> None:
