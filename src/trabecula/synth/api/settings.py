@@ -70,7 +70,7 @@ def settings_of(capabilities: Capabilities) -> list[Setting]:
     PluginError
         The method cannot be imported.
     """
-    config = method_class(capabilities).config_type
+    config: Any = method_class(capabilities).config_type
     meanings = _texts_below_fields(config)
     presets = preset_settings(capabilities)
     return [
@@ -86,7 +86,7 @@ def settings_of(capabilities: Capabilities) -> list[Setting]:
 
 def preset_settings(capabilities: Capabilities) -> dict[str, dict[str, Any]]:
     """Return the settings of every preset of a method, by the preset's name."""
-    config = method_class(capabilities).config_type
+    config: Any = method_class(capabilities).config_type
     return {name: dict(config.preset(name)) for name in capabilities.presets}
 
 
