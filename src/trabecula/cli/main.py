@@ -33,6 +33,7 @@ VERBS = {
     "render": "render a still picture, or one that turns",
     "rerun": "make a file's voxels again from the recipe in it",
     "bench": "run the tables of speed and quality",
+    "doctor": "report versions, extras, memory and folders, and check that voxels are the same",
 }
 
 
