@@ -34,6 +34,7 @@ EXTRAS = {
     "learn": ("torch",),
     "cluster": ("dask", "distributed"),
     "mesh": ("trimesh",),
+    "completion": ("shtab",),
     "remote": ("fsspec", "s3fs"),
 }
 """Packages of every extra; their modules have the same names."""

@@ -35,6 +35,7 @@ VERBS = {
     "rerun": "make a file's voxels again from the recipe in it",
     "bench": "run the tables of speed and quality",
     "doctor": "report versions, extras, memory and folders, and check that voxels are the same",
+    "completion": "print the script with which bash, zsh or fish completes a line",
 }
 
 
@@ -153,7 +154,13 @@ def _smaller(options: argparse.Namespace) -> str:
     return "give a smaller volume, such as a coarser level of a .zarr"
 
 
-def _parser(verb: str | None):
+def whole_parser() -> Parser:
+    """Return the parser of all verbs with all their options, which takes longer than one's."""
+    return _parser(*VERBS)[0]
+
+
+def _parser(*chosen_verbs: str | None):
+    """Return the parser, with the options of the verbs that are named, and what the last runs."""
     from trabecula import __version__
 
     parser = Parser(
@@ -171,7 +178,7 @@ def _parser(verb: str | None):
             description=summary[0].upper() + summary[1:] + ".",
             allow_abbrev=False,
         )
-        if name == verb:
+        if name in chosen_verbs:
             module = importlib.import_module(f"trabecula.cli.{name}")
             module.add_arguments(sub)
             _add_messages(sub)
