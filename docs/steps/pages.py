@@ -433,6 +433,9 @@ def _verb_section(verb: str, parser: argparse.ArgumentParser) -> str:
                 group.title, group.title
             )
             parts.append(table((title, ""), rows) + "\n")
+    if parser.epilog:
+        head, _, lines = parser.epilog.partition("\n")
+        parts.append(f"{head.capitalize()}\n\n```sh\n{inspect.cleandoc(lines)}\n```\n")
     for kinds in [
         action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
     ]:

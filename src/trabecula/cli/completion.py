@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 SHELLS = ("bash", "zsh", "fish")
 
-_FILES = ("FILE", "FILE|NAME", "EXEMPLAR", "SCAN", "MODEL", "HTML")
+_FILES = ("FILE", "FILE|NAME", "EXEMPLAR", "SCAN", "MODEL", "HTML", "OUT")
 _FOLDERS = ("DIR", "FOLDER")
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from trabecula.cli import terminal
+from trabecula.cli.examples import ExamplesFormatter, epilog
 from trabecula.core.errors import FileError, TrabeculaError, UnnamedVoidError
 
 VERBS = {
@@ -176,6 +177,8 @@ def _parser(*chosen_verbs: str | None):
             name,
             help=summary,
             description=summary[0].upper() + summary[1:] + ".",
+            epilog=epilog(name),
+            formatter_class=ExamplesFormatter,
             allow_abbrev=False,
         )
         if name in chosen_verbs:
