@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -14,10 +17,34 @@ __all__ = [
     "messages_shown",
     "note",
     "note_end",
+    "show_certificate",
     "show_json",
     "show_mapping",
     "show_rows",
 ]
+
+
+_VERDICT = re.compile(r"\b(?:PASS|FAIL)\b|(?<=  )pass\b")
+_GREEN, _RED, _PLAIN = "\033[32m", "\033[31m", "\033[0m"
+
+
+def show_certificate(text: str) -> None:
+    """Print a certificate, its verdicts in colour where standard output is a terminal that has it.
+
+    The variable NO_COLOR switches colour off (no-color.org).
+    """
+    if _has_colour():
+        text = _VERDICT.sub(
+            lambda found: f"{_RED if found[0] == 'FAIL' else _GREEN}{found[0]}{_PLAIN}", text
+        )
+    print(text)
+
+
+def _has_colour() -> bool:
+    # a console of Windows shows the codes themselves, Windows Terminal does not
+    shown = os.name != "nt" or "WT_SESSION" in os.environ
+    refused = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    return sys.stdout.isatty() and shown and not refused
 
 
 def show_json(value: Any) -> None:
