@@ -4,7 +4,6 @@ setting, format, verb, measure or public name appears without an edit here."""
 from __future__ import annotations
 
 import argparse
-import ast
 import dataclasses
 import importlib
 import inspect
@@ -13,13 +12,13 @@ import re
 import shutil
 import typing
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import trabecula
 from steps.presets import pictured
 from trabecula.synth.api.method import Capabilities
 from trabecula.synth.api.registry import methods
+from trabecula.synth.api.settings import preset_settings, settings_of
 
 # Rooms in the order of the data, with their titles on the API page; a room that is not named here
 # comes last.
@@ -158,7 +157,17 @@ def method_page(spec: Capabilities) -> str:
         ("presets", ", ".join(spec.presets) or "none"),
         ("extras", ", ".join(spec.extras) or "none"),
     ]
-    settings = table(("setting", "default", "meaning"), settings_of(spec))
+    rows = [
+        (
+            f"`{one.name}`",
+            one.unit,
+            one.allowed,
+            "required" if one.default is dataclasses.MISSING else f"`{one.default!r}`",
+            one.meaning,
+        )
+        for one in settings_of(spec)
+    ]
+    settings = table(("setting", "unit", "range", "default", "meaning"), rows)
     presets = presets_of(spec)
     return f"""{text}
 
@@ -180,19 +189,14 @@ def presets_of(spec: Capabilities) -> str:
     """
     if not spec.presets:
         return ""
-    module, _, attribute = spec.method.partition(":")
-    config = getattr(importlib.import_module(module), attribute).config_type
     rows = []
-    for name in spec.presets:
+    for name, given in preset_settings(spec).items():
         shown = (
             f"![{name}](../gallery/{spec.name}-{name}.png)"
             if name in pictured().get(spec.name, ())
             else ""
         )
-        words = (
-            ", ".join(f"`{key}={value}`" for key, value in config.preset(name).items())
-            or "the defaults"
-        )
+        words = ", ".join(f"`{key}={value}`" for key, value in given.items()) or "the defaults"
         rows.append((f"`{name}`", words, shown))
     drawn = any(row[2] for row in rows)
     head = ("preset", "settings", "a still, and a slice") if drawn else ("preset", "settings")
@@ -204,19 +208,6 @@ Settings that are given as well replace the preset's.
 
 {table(head, [row[: len(head)] for row in rows])}
 """
-
-
-def settings_of(spec: Capabilities) -> list[tuple[str, str, str]]:
-    """List name, default and meaning of every setting: fields of the config and the strings
-    below them.
-    """
-    module, _, attribute = spec.method.partition(":")
-    config = getattr(importlib.import_module(module), attribute).config_type
-    meanings = _strings_below_fields(config)
-    return [
-        (f"`{field.name}`", f"`{_default(field)}`", meanings.get(field.name, ""))
-        for field in dataclasses.fields(config)
-    ]
 
 
 def formats_page() -> str:
@@ -442,6 +433,9 @@ def _verb_section(verb: str, parser: argparse.ArgumentParser) -> str:
                 group.title, group.title
             )
             parts.append(table((title, ""), rows) + "\n")
+    if parser.epilog:
+        head, _, lines = parser.epilog.partition("\n")
+        parts.append(f"{head.capitalize()}\n\n```sh\n{inspect.cleandoc(lines)}\n```\n")
     for kinds in [
         action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
     ]:
@@ -466,36 +460,6 @@ def _spell(action: argparse.Action) -> str:
 
 def _folder(spec: Capabilities) -> str:
     return spec.method.partition(":")[0].split(".")[2]
-
-
-def _strings_below_fields(config: type) -> dict[str, str]:
-    shared = [
-        _strings_below_fields(base) for base in config.__bases__ if dataclasses.is_dataclass(base)
-    ]
-    tree = ast.parse(inspect.getsource(inspect.getmodule(config)))
-    body = next(
-        node.body
-        for node in tree.body
-        if isinstance(node, ast.ClassDef) and node.name == config.__name__
-    )
-    own = {
-        field.target.id: inspect.cleandoc(below.value.value)
-        for field, below in pairwise(body)
-        if isinstance(field, ast.AnnAssign)
-        and isinstance(below, ast.Expr)
-        and isinstance(below.value, ast.Constant)
-    }
-    return {name: text for strings in (*shared, own) for name, text in strings.items()}
-
-
-def _default(field: dataclasses.Field) -> str:
-    if field.default is not dataclasses.MISSING:
-        return repr(field.default)
-    return (
-        repr(field.default_factory())
-        if field.default_factory is not dataclasses.MISSING
-        else "required"
-    )
 
 
 def _summary(thing: object) -> str:

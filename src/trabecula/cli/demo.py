@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         terminal.show_json(verdict.to_json())
         return 0
-    print(verdict.to_table())
+    terminal.show_certificate(verdict.to_table())
     print(f"\nIn {options.out}:")
     terminal.show_rows(
         [

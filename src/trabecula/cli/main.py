@@ -7,11 +7,13 @@ import difflib
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from trabecula.cli import terminal
-from trabecula.core.errors import TrabeculaError, UnnamedVoidError
+from trabecula.cli.examples import ExamplesFormatter, epilog
+from trabecula.core.errors import FileError, TrabeculaError, UnnamedVoidError
 
 VERBS = {
     "demo": "run the main job on an embedded sample, start to end",
@@ -33,6 +35,8 @@ VERBS = {
     "render": "render a still picture, or one that turns",
     "rerun": "make a file's voxels again from the recipe in it",
     "bench": "run the tables of speed and quality",
+    "doctor": "report versions, extras, memory and folders, and check that voxels are the same",
+    "completion": "print the script with which bash, zsh or fish completes a line",
 }
 
 
@@ -93,9 +97,29 @@ def _run(words: list[str]) -> int:
     if chosen is None:
         parser.print_help()
         return 0
+    shown = {name: _taken(options, name) for name in ("quiet", "verbose", "log")}
     try:
-        with terminal.progress_shown():
-            return chosen(options)
+        with terminal.messages_shown(**shown):
+            return _attempt(chosen, options)
+    except FileError as error:  # of the log: the verb's own are in `_attempt`
+        terminal.fail(str(error))
+        return 2
+
+
+def _taken(options: argparse.Namespace, name: str) -> Any:
+    """Return an option that is no verb's own, and remove it from those."""
+    value = getattr(options, name)
+    delattr(options, name)
+    return value
+
+
+def _attempt(chosen: Callable[[argparse.Namespace], int], options: argparse.Namespace) -> int:
+    """Run a verb; what it cannot do is an error in one line."""
+    begun = time.monotonic()
+    try:
+        status = chosen(options)
+        terminal.note_end(time.monotonic() - begun)
+        return status
     except UnnamedVoidError as error:
         terminal.fail(f"{error.what}: {_void_advice(options, error.phase_helps)}")
     except TrabeculaError as error:
@@ -131,7 +155,13 @@ def _smaller(options: argparse.Namespace) -> str:
     return "give a smaller volume, such as a coarser level of a .zarr"
 
 
-def _parser(verb: str | None):
+def whole_parser() -> Parser:
+    """Return the parser of all verbs with all their options, which takes longer than one's."""
+    return _parser(*VERBS)[0]
+
+
+def _parser(*chosen_verbs: str | None):
+    """Return the parser, with the options of the verbs that are named, and what the last runs."""
     from trabecula import __version__
 
     parser = Parser(
@@ -147,13 +177,44 @@ def _parser(verb: str | None):
             name,
             help=summary,
             description=summary[0].upper() + summary[1:] + ".",
+            epilog=epilog(name),
+            formatter_class=ExamplesFormatter,
             allow_abbrev=False,
         )
-        if name == verb:
+        if name in chosen_verbs:
             module = importlib.import_module(f"trabecula.cli.{name}")
             module.add_arguments(sub)
+            _add_messages(sub)
             chosen = module.run
     return parser, chosen
+
+
+def _add_messages(parser: argparse.ArgumentParser, *, inner: bool = False) -> None:
+    """Add the options of what is shown, to the kinds of a verb as well (`inner`), whose defaults
+    must not replace what was given before the kind.
+    """
+    group = parser.add_argument_group("messages")
+    default: Any = argparse.SUPPRESS if inner else None
+    either = group.add_mutually_exclusive_group()
+    either.add_argument(
+        "--quiet", action="store_true", default=default, help="errors alone: no notices, no bars"
+    )
+    either.add_argument(
+        "--verbose",
+        action="store_true",
+        default=default,
+        help="a line for every stage as it ends, with its time",
+    )
+    group.add_argument(
+        "--log",
+        metavar="FILE",
+        default=default,
+        help="append these lines, with the date, to FILE, also those that --quiet leaves out",
+    )
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for kind in action.choices.values():
+                _add_messages(kind, inner=True)
 
 
 if __name__ == "__main__":

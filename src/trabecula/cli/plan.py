@@ -7,6 +7,7 @@ from typing import Any
 
 from trabecula.cli import terminal
 from trabecula.cli.generate import GenerateTask, add_request, prepare
+from trabecula.cli.messages import brief_time
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,9 +53,7 @@ def _time(seconds: float | None) -> str:
     """Format seconds for a person."""
     if seconds is None:
         return "not forecast: no small part of it can be tried"
-    if seconds < 90:
-        return f"about {seconds:.0f} s" if seconds >= 3 else f"about {seconds:.1f} s"
-    return f"about {seconds / 60:.0f} min" if seconds < 5400 else f"about {seconds / 3600:.1f} h"
+    return f"about {brief_time(seconds)}"
 
 
 def _making(job: GenerateTask, options: argparse.Namespace) -> Any:

@@ -1,73 +1,50 @@
-"""Output beside the results: progress and notices on standard error, errors in one line."""
+"""Results on standard output, and lines beside them (`cli.messages`)."""
 
 from __future__ import annotations
 
 import json
+import os
+import re
 import sys
-import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from typing import Any
 
-from trabecula.core.progress import listen
+from trabecula.cli.messages import fail, messages_shown, note, note_end
 
-_WIDTH = 30
-
-
-class Bar:
-    """A progress bar on a terminal; elsewhere only lines of text are passed on."""
-
-    def __init__(self) -> None:
-        self.on_terminal = sys.stderr.isatty()
-        self.shown = 0.0
-        self.length = 0
-
-    def __call__(self, label: str, fraction: float) -> None:
-        """Show a stage's progress, or a line where `fraction` is negative."""
-        if fraction < 0:
-            self.clear()
-            print(f"trabecula: {label}", file=sys.stderr, flush=True)
-        elif self.on_terminal:
-            self._draw(label, fraction)
-
-    def _draw(self, label: str, fraction: float) -> None:
-        now = time.monotonic()
-        if now - self.shown < 0.05 and fraction < 1:
-            return
-        self.shown = now
-        done = round(_WIDTH * fraction)
-        line = f"{label[:40]:40s} [{'#' * done}{'.' * (_WIDTH - done)}] {fraction:4.0%}"
-        print("\r" + line, end="", file=sys.stderr, flush=True)
-        self.length = len(line)
-        if fraction >= 1:
-            self.clear()
-
-    def clear(self) -> None:
-        """Clear the bar from its line."""
-        if self.length:
-            print("\r" + " " * self.length + "\r", end="", file=sys.stderr, flush=True)
-            self.length = 0
+__all__ = [
+    "brief",
+    "fail",
+    "messages_shown",
+    "note",
+    "note_end",
+    "show_certificate",
+    "show_json",
+    "show_mapping",
+    "show_rows",
+]
 
 
-@contextmanager
-def progress_shown() -> Iterator[None]:
-    """Show the progress of what runs inside the block."""
-    bar = Bar()
-    try:
-        with listen(bar):
-            yield
-    finally:
-        bar.clear()
+_VERDICT = re.compile(r"\b(?:PASS|FAIL)\b|(?<=  )pass\b")
+_GREEN, _RED, _PLAIN = "\033[32m", "\033[31m", "\033[0m"
 
 
-def fail(message: str) -> None:
-    """Print one line on standard error."""
-    print("trabecula: " + " ".join(message.split()), file=sys.stderr, flush=True)
+def show_certificate(text: str) -> None:
+    """Print a certificate, its verdicts in colour where standard output is a terminal that has it.
+
+    The variable NO_COLOR switches colour off (no-color.org).
+    """
+    if _has_colour():
+        text = _VERDICT.sub(
+            lambda found: f"{_RED if found[0] == 'FAIL' else _GREEN}{found[0]}{_PLAIN}", text
+        )
+    print(text)
 
 
-def note(line: str) -> None:
-    """Print a line on standard error that is no error."""
-    print(f"trabecula: {line}", file=sys.stderr, flush=True)
+def _has_colour() -> bool:
+    # a console of Windows shows the codes themselves, Windows Terminal does not
+    shown = os.name != "nt" or "WT_SESSION" in os.environ
+    refused = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    return sys.stdout.isatty() and shown and not refused
 
 
 def show_json(value: Any) -> None:

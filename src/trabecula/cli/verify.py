@@ -98,7 +98,9 @@ def run(options: argparse.Namespace) -> int:
         verdicts = [certificate.to_json() for certificate in certificates]
         terminal.show_json(verdicts if len(verdicts) > 1 else verdicts[0])
     else:
-        print("\n\n".join(certificate.to_table() for certificate in certificates))
+        terminal.show_certificate(
+            "\n\n".join(certificate.to_table() for certificate in certificates)
+        )
     return 0
 
 
@@ -129,7 +131,7 @@ def _judge_ensemble(options: argparse.Namespace) -> int:
     if options.json:
         terminal.show_json(certificate.to_json())
     else:
-        print(certificate.to_table())
+        terminal.show_certificate(certificate.to_table())
     return 0
 
 

@@ -6,17 +6,69 @@ both cost nothing, so library code stays quiet and the command line shows a bar.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 T = TypeVar("T")
 
 Listener = Callable[[str, float], None]
-"""Called with a label and the fraction done, 0..1; a fraction of 1 ends the stage. A line of text
-has fraction -1.
+"""Called with a label and the fraction done, 0..1, which is a `Fraction` where items are counted; a
+fraction of 1 ends the stage. A line of text has fraction -1.
 """
+
+
+class Fraction(float):
+    """A fraction done, 0..1, that knows its counts.
+
+    Attributes
+    ----------
+    done, total : int
+        Items.
+    """
+
+    done: int
+    total: int
+
+    def __new__(cls, done: int, total: int) -> Fraction:
+        """Return `done / total`, and at most 1."""
+        made = super().__new__(cls, min(done / max(total, 1), 1.0))
+        made.done, made.total = done, total
+        return made
+
+
+class StageTime(NamedTuple):
+    """How long a stage has run, and how long it will, in seconds; None where that is unknown."""
+
+    seconds: float
+    left: float | None
+
+
+class StageClock:
+    """The times of stages, from what a listener is called with."""
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now = now
+        self._begun: dict[str, tuple[float, float]] = {}  # label -> time and fraction
+        self._last = ("", 0.0)
+
+    def update(self, label: str, fraction: float) -> StageTime:
+        """Return the times of the stage that has come to `fraction`."""
+        now = self._now()
+        before, reached = self._last
+        if fraction == 0:
+            self._begun[label] = (now, 0.0)
+        elif label not in self._begun and before in self._begun and fraction >= reached:
+            self._begun[label] = self._begun.pop(before)  # the same stage in other words
+        begun, first = self._begun.setdefault(label, (now, fraction))
+        self._last = (label, fraction)
+        if fraction >= 1:
+            self._begun.pop(label, None)
+        seconds, done = now - begun, fraction - first
+        return StageTime(seconds, seconds * (1 - fraction) / done if done > 0 else None)
+
 
 _listener: ContextVar[Listener | None] = ContextVar("trabecula_progress", default=None)
 
@@ -40,10 +92,10 @@ def track(items: Iterable[T], label: str, *, total: int | None = None) -> Iterat
     if total is None:
         items = list(items)
         total = len(items)
-    listener(label, 0.0)
+    listener(label, Fraction(0, total))
     for done, item in enumerate(items, start=1):
         yield item
-        listener(label, min(done / max(total, 1), 1.0))
+        listener(label, Fraction(done, total))
 
 
 def notify(line: str) -> None:

@@ -49,8 +49,8 @@ class NoiseConfig:
     The porosity then follows from it. None: the thickness follows from the porosity."""
 
     jitter: float = 1.0
-    """How far the points of "worley" and the Voronoi kinds lie from the middles of their cells, 0
-    (a regular lattice) .. 1 (anywhere in the cell)."""
+    """How far the points of "worley" and the Voronoi kinds lie from the middles of their cells,
+    0 .. 1: 0 is a regular lattice, 1 anywhere in the cell."""
 
     octaves: int = 1
     """Perlin noises that are summed, 1 .. 8, each of half the length of the one before."""

@@ -16,12 +16,12 @@ class QuiltConfig:
     """Settings of `quilt`. Lengths are voxels."""
 
     patch: int = 0
-    """Side s of a neighbourhood, 4 .. 64 (section 3.1). 0: from the exemplar, two or three of its
-    structures wide, and a whole number of periods and an overlap of a lattice."""
+    """Side s of a neighbourhood, voxels, 4 .. 64 (section 3.1). 0: from the exemplar, two or three
+    of its structures wide, and a whole number of periods and an overlap of a lattice."""
 
     overlap: int = 0
-    """o, by how much neighbourhoods overlap, 1 .. s - 1; they step by s - o (section 3.3). 0: two
-    fifths of the patch, at least 3."""
+    """o, by how much neighbourhoods overlap, voxels, 1 .. s - 1; they step by s - o (section 3.3).
+    0: two fifths of the patch, at least 3."""
 
     alpha: float = 0.7
     """Weight of the mismatch in the overlap, 0 .. 1; the descriptors have the rest (equation 4; the

@@ -33,10 +33,10 @@ class TextureConfig:
     density of the result drifts."""
 
     novelty: float | None = None
-    """The dial between moving patches of the exemplar (0) and copying no more than an independent
-    sample of the material does (1). Default: 1; 0 with the paper's search, field or energies,
-    which know no other. Grey values and colours above 0: their structure is made as labels, then
-    painted."""
+    """The dial, 0 .. 1, between moving patches of the exemplar (0) and copying no more than an
+    independent sample of the material does (1). Default: 1; 0 with the paper's search, field or
+    energies, which know no other. Grey values and colours above 0: their structure is made as
+    labels, then painted."""
 
     layout: str = "structure"
     """How new material begins. "structure": on the level that fits the exemplar's structure, with
