@@ -41,6 +41,7 @@ def test_a_solid_cube_passes(printer):
     assert worst(found) == {}
     extra = {"sls": {"trapped", "passage"}, "sla": {"trapped", "passage", "cups", "islands"}}
     extra["fdm"] = {"islands", "overhangs", "bridges"}
+    extra["slm"] = extra["sls"] | extra["fdm"]
     assert set(found) == {"size", "surface", "pieces", "walls", "gaps", "estimate"} | extra[printer]
 
 
@@ -268,7 +269,7 @@ def test_a_part_of_one_voxel(printer):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"printer": "slm"}, "unknown printer 'slm': did you mean"),
+        ({"printer": "slz"}, "unknown printer 'slz': did you mean"),
         ({"wal": 1}, "unknown limit of sls 'wal': did you mean 'wall'"),
         ({"bridge": 1}, "unknown limit of sls 'bridge'"),
         ({"wall": 0}, "wall=0 is outside"),

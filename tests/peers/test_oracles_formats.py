@@ -183,6 +183,38 @@ def test_lib3mf_reads_a_part(tmp_path):
     np.testing.assert_allclose(points, ours.vertices, atol=1e-5)
 
 
+def test_lib3mf_reads_beams_and_several_parts(tmp_path):
+    lib3mf = pytest.importorskip("lib3mf")
+    from trabecula.mesh.beam_file import write_beams
+    from trabecula.mesh.beams import beam_lattice
+
+    foam = tb.Image(tb.crop(tb.sample("foam"), 32).values, "labels", 0.5, unit="mm")
+    lattice = beam_lattice(foam)
+    values = np.zeros((12, 10, 10), np.uint8)
+    values[2:6, 2:8, 2:8], values[6:10, 2:8, 2:8] = 1, 2
+    two = tb.Image(values, "labels", 0.5, unit="mm", phases=("void", "steel", "rubber"))
+    files = (
+        write_beams(lattice, tmp_path / "beams.3mf"),
+        tb.export(two, tmp_path / "two.3mf", phase=["steel", "rubber"]),
+    )
+    found = []
+    for path in files:
+        model = lib3mf.get_wrapper().CreateModel()
+        reader = model.QueryReader("3mf")
+        reader.SetStrictModeActive(True)
+        reader.ReadFromFile(str(path))
+        assert reader.GetWarningCount() == 0
+        meshes = model.GetMeshObjects()
+        while meshes.MoveNext():
+            found.append(meshes.GetCurrentMeshObject())
+    beams = found[0].BeamLattice()
+    assert beams.GetBeamCount() == len(lattice.beams)
+    radii = np.array([beams.GetBeam(n).Radii[:] for n in range(beams.GetBeamCount())])
+    np.testing.assert_allclose(radii, lattice.radii, rtol=1e-4)
+    assert [one.GetName() for one in found[1:]] == ["steel", "rubber"]
+    assert all(one.IsManifoldAndOriented() for one in found[1:])
+
+
 def test_lib3mf_writes_a_part(tmp_path):
     lib3mf = pytest.importorskip("lib3mf")
     wrapper = lib3mf.get_wrapper()

@@ -1,4 +1,4 @@
-"""`trabecula check FILE --printer sls|sla|fdm`."""
+"""`trabecula check FILE --printer sls|sla|fdm|slm`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the part, the printer and its limits."""
     parser.add_argument("file", metavar="FILE", help="volume of labels, in a unit of length")
     parser.add_argument(
-        "--printer", default="sls", metavar="NAME", help="sls (default), sla or fdm"
+        "--printer", default="sls", metavar="NAME", help="sls (default), sla, fdm or slm"
     )
     parser.add_argument(
         "--set",

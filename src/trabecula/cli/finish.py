@@ -31,9 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--for",
         dest="printer",
         metavar="PRINTER",
-        help="sls, sla or fdm: what its limits ask for (connect, thicken to its wall, drain by "
-        "holes that it can clear), where the options do not say otherwise; then what check finds "
-        "is printed",
+        help="sls, sla, fdm or slm: what its limits ask for (connect, thicken to its wall, drain "
+        "by holes that it can clear), where the options do not say otherwise; then what check "
+        "finds is printed",
     )
     parser.add_argument(
         "--like", metavar="EXEMPLAR", help="for --prune: the exemplar, whose free ends are no fault"

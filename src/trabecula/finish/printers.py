@@ -26,7 +26,8 @@ class Printer:
     Parameters
     ----------
     process : str
-        "sls" (powder sintered by a laser), "sla" (resin cured by light), "fdm" (molten filament).
+        "sls" (powder sintered by a laser), "sla" (resin cured by light), "fdm" (molten filament),
+        "slm" (metal powder melted by a laser; the density is that of Ti-6Al-4V).
     box : (z, y, x)
         Largest part; z is the direction of the layers.
     wall : float
@@ -98,6 +99,19 @@ PRINTERS: Mapping[str, Printer] = {
         speed=5.0,
         overhang=45.0,
         bridge=10.0,
+    ),
+    "slm": Printer(
+        "slm",
+        box=(325.0, 250.0, 250.0),
+        wall=0.3,
+        gap=0.3,
+        layer=0.03,
+        density=4.43,
+        pause=12.0,
+        speed=3.0,
+        passage=1.0,
+        overhang=45.0,
+        bridge=2.0,
     ),
 }
 

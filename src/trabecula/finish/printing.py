@@ -96,16 +96,17 @@ def print_check(
     ----------
     image : Image or array of labels, (Z, Y, X)
         In a unit of length. z is the direction of the layers, the first slice rests on the plate.
-    printer : {"sls", "sla", "fdm"}
-        Powder sintered by a laser, resin cured by light, molten filament.
+    printer : {"sls", "sla", "fdm", "slm"}
+        Powder sintered by a laser, resin cured by light, molten filament, melted metal powder.
     phase : str or int, optional
         The phase to print. Default: "solid", which is every phase but "void" taken together.
     memory : int, optional
         Bytes that may be used. Default: what is available.
     **limits
         Limits of the printer other than the typical ones (`trabecula.finish.printers.PRINTERS`), in
-        millimetres: box, wall, gap, layer; passage (sls, sla), cup (sla, mm**3), overhang (degrees)
-        and bridge (fdm); density (g/cm**3), pause (s a layer) and speed (fdm, mm**3/s).
+        millimetres: box, wall, gap, layer; passage (sls, sla, slm), cup (sla, mm**3), overhang
+        (degrees) and bridge (fdm, slm); density (g/cm**3), pause (s a layer) and speed (fdm, slm,
+        mm**3/s).
 
     Returns
     -------
@@ -160,7 +161,7 @@ def print_check(
         findings += [check_trapped(part), check_passage(part, machine.passage)]
     if machine.cup is not None:
         findings.append(check_cups(part, machine.cup))
-    if machine.process in ("sla", "fdm"):
+    if machine.process in ("sla", "fdm", "slm"):
         findings.append(check_islands(part, machine))
     if machine.overhang is not None:
         findings.append(check_overhangs(part, machine.overhang))
