@@ -33,7 +33,10 @@ import numpy as np
 
 _SAME = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 # Depends on what was run before on this machine.
-_COMPILING = re.compile(r"^trabecula: compiling kernels.*\n", re.MULTILINE)
+_BY_THE_WAY = re.compile(
+    r"^trabecula: (compiling kernels.*|.* (\d+ of \d+|\d+%)(, .* left)?)\n", re.MULTILINE
+)
+"""Lines that slow machines print: of compiling, and of progress every 30 seconds."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +203,7 @@ def _call(words: list[str]) -> tuple[int, str]:
         status = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     finally:
         os.environ.pop("COLUMNS") if width is None else os.environ.update(COLUMNS=width)
-    return status, _COMPILING.sub("", printed.getvalue())
+    return status, _BY_THE_WAY.sub("", printed.getvalue())
 
 
 def _check_same(shown: str, printed: str, *, line: int) -> None:
