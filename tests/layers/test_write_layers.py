@@ -11,10 +11,11 @@ import trabecula as tb
 from trabecula.pipeline.layers import slabs_of_model
 
 
-def block(side=12, unit="mm", edge=0.1):
+def block(side=12, unit="mm", edge=0.1, other=False):
     values = np.zeros((side, side, side), np.uint8)
     values[2:-2, 3:-3, 4:-4] = 1
     values[5:7, 5:7, 5:7] = 2
+    values[0, 0, 0] = other
     return tb.Image(values, "labels", (edge,) * 3, unit=unit, phases=("void", "bone", "marrow"))
 
 
@@ -91,6 +92,8 @@ def test_an_interrupted_run_resumes_and_another_is_refused(tmp_path):
     assert {file.name: file.read_bytes() for file in whole.iterdir()} == bytes_before
     with pytest.raises(tb.errors.FileError, match="other settings"):
         tb.write_layers(block(), whole, pitch=0.2)
+    with pytest.raises(tb.errors.FileError, match="another volume"):
+        tb.write_layers(block(other=True), whole, pitch=0.1)
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "mine.txt").write_text("kept")
     with pytest.raises(tb.errors.FileError, match="other files"):
@@ -101,6 +104,14 @@ def test_an_interrupted_run_resumes_and_another_is_refused(tmp_path):
 def model():
     values = tb.crop(tb.sample("bone"), 16).values
     return tb.method("noise", reach=4).fit(tb.Image(values, "labels", (0.027,) * 3, unit="mm"))
+
+
+def test_other_mixtures_are_other_layers(tmp_path):
+    shares = [np.full((2, 2, 2), share, np.float32) for share in (0.2, 0.8)]
+    tb.write_layers(block(), tmp_path / "a", mixtures={"bone": (shares[0], "soft", "hard")})
+    for mixture in ((shares[1], "soft", "hard"), (shares[0], "hard", "soft")):
+        with pytest.raises(tb.errors.FileError, match="other settings"):
+            tb.write_layers(block(), tmp_path / "a", mixtures={"bone": mixture})
 
 
 def test_layers_of_a_model_are_those_of_its_volume(model, tmp_path):

@@ -27,11 +27,12 @@ class Drawing(ABC):
 
     @abstractmethod
     def write(self, layer: int, path: Path) -> dict[str, float]:
-        """Write a layer; return the share of its pixels that each material takes."""
+        """Write a layer; return the area of each material in square millimetres."""
 
-    def solid(self, layer: int, fine: int = 1) -> np.ndarray:
-        """Return the share of each pixel that is printed, (Y, X) float32."""
-        return self.sampler.shares(layer, self.printed, fine=fine).sum(axis=0)
+    @property
+    def pixel(self) -> float:
+        """Return the area of a pixel in square millimetres."""
+        return self.sampler.pitch[1] * self.sampler.pitch[2]
 
 
 class Droplets(Drawing):
@@ -40,8 +41,7 @@ class Droplets(Drawing):
     def __init__(self, sampler: LayerSampler, palette: Palette, seed: int) -> None:
         super().__init__(sampler, palette.phases)
         self.palette, self.seed = palette, seed
-        colours = {name: list(colour) for name, colour in palette.colours.items()}
-        self.about |= {"colours": colours, "seed": seed}
+        self.about |= {**palette.about, "seed": seed}
 
     def write(self, layer: int, path: Path) -> dict[str, float]:
         from PIL import Image as Picture
@@ -50,8 +50,9 @@ class Droplets(Drawing):
         picture = Picture.fromarray(drops[::-1])
         picture.putpalette([value for colour in COLOURS for value in colour])
         picture.save(path, format="PNG", dpi=_dots(self.sampler.pitch))
-        counts = np.bincount(drops.ravel(), minlength=len(self.palette.materials)) / drops.size
-        return dict(zip(self.palette.materials[1:], counts[1:].tolist(), strict=True))
+        counts = np.bincount(drops.ravel(), minlength=len(self.palette.materials))
+        areas = counts[1:] * self.pixel
+        return dict(zip(self.palette.materials[1:], areas.tolist(), strict=True))
 
 
 class Masks(Drawing):
@@ -60,12 +61,12 @@ class Masks(Drawing):
     def write(self, layer: int, path: Path) -> dict[str, float]:
         from PIL import Image as Picture
 
-        inside = self.solid(layer, FINE) >= 0.5
+        inside = self.sampler.shares(layer, self.printed, fine=FINE).sum(axis=0) >= 0.5
         height, width = (side // FINE for side in inside.shape)
         lit = inside.reshape(height, FINE, width, FINE).sum(axis=(1, 3), dtype=np.uint16)
         grey = ((lit * 255 + FINE**2 // 2) // FINE**2).astype(np.uint8)
         Picture.fromarray(grey[::-1]).save(path, format="PNG", dpi=_dots(self.sampler.pitch))
-        return {"solid": float(inside.mean())}
+        return {"solid": np.count_nonzero(inside) * self.pixel / FINE**2}
 
 
 class Outlines(Drawing):
@@ -75,7 +76,7 @@ class Outlines(Drawing):
         lines = contours_of(self.sampler, self.printed, layer)
         _, height, width = self.sampler.size
         path.write_text(svg_text(lines, width, height), encoding="ascii")
-        return {"solid": area_share(lines, self.sampler)}
+        return {"solid": area_within(lines)}
 
 
 def contours_of(sampler: LayerSampler, printed: Sequence[int], layer: int) -> list[np.ndarray]:
@@ -84,11 +85,9 @@ def contours_of(sampler: LayerSampler, printed: Sequence[int], layer: int) -> li
     return [line * sampler.pitch[:0:-1] for line in find_contours(solid)]
 
 
-def area_share(lines: Sequence[np.ndarray], sampler: LayerSampler) -> float:
-    """Return the share of the layer's pixels within lines in millimetres."""
-    _, rows, columns = sampler.shape
-    pixels = rows * columns * sampler.pitch[1] * sampler.pitch[2]
-    return sum(signed_area(line) for line in lines) / pixels
+def area_within(lines: Sequence[np.ndarray]) -> float:
+    """Return the area within closed lines, less that of holes."""
+    return sum(signed_area(line) for line in lines)
 
 
 def _dots(pitch: Sequence[float]) -> tuple[float, float]:

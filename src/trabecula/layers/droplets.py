@@ -10,6 +10,7 @@ import numpy as np
 
 from trabecula.core.checks import check_name, quote
 from trabecula.core.errors import InputError
+from trabecula.core.recipe import digest
 from trabecula.core.seeds import key
 from trabecula.layers.dithering import diffuse
 from trabecula.layers.sampling import AxisWeights, LayerSampler, average_plane
@@ -36,11 +37,12 @@ class Mixture:
     ----------
     share : (z, y, x) float32
         Of the second material, 0 to 1, over the whole part; its voxels may be larger.
-    materials : two names
+    materials : two ints
+        Their numbers.
     """
 
     share: np.ndarray
-    materials: tuple[str, str]
+    materials: tuple[int, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +96,7 @@ class Palette:
             name = names[label]
             if name in mixtures:
                 share, first, second = mixtures[name]
-                number(first), number(second)
-                makers.append(Mixture(_checked(share, name), (first, second)))
+                makers.append(Mixture(_checked(share, name), (number(first), number(second))))
             else:
                 makers.append(number(materials.get(name, name)))
         if len(known) > len(COLOURS):
@@ -106,9 +107,16 @@ class Palette:
         return cls(tuple(labels), tuple(makers), tuple(known))
 
     @property
-    def colours(self) -> dict[str, tuple[int, int, int]]:
-        """Return the colour of every material."""
-        return dict(zip(self.materials, COLOURS, strict=False))
+    def about(self) -> dict[str, Any]:
+        """Return plain values: the colour of every material, and what makes each phase."""
+        makers = [
+            {"materials": list(maker.materials), "sha256": digest(maker.share)}
+            if isinstance(maker, Mixture)
+            else maker
+            for maker in self.makers
+        ]
+        colours = dict(zip(self.materials, map(list, COLOURS), strict=False))
+        return {"colours": colours, "makers": makers}
 
     def layer(self, sampler: LayerSampler, number: int, seed: int) -> np.ndarray:
         """Return the material of every droplet of a layer, (Y, X) uint8.
@@ -129,8 +137,7 @@ class Palette:
                 second = _share_of(maker, sampler, number)
                 stack = np.stack([1 - second, second])
                 drops = diffuse(inside, stack, key(seed, f"layers/{at}"), number)
-                numbers = np.array([self.materials.index(n) for n in maker.materials], np.uint8)
-                chosen[inside] = numbers[drops[inside]]
+                chosen[inside] = np.array(maker.materials, np.uint8)[drops[inside]]
         return chosen
 
 

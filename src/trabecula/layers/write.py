@@ -9,13 +9,13 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.checks import as_number, as_spacing, check_name
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
 from trabecula.core.progress import notify, track
+from trabecula.core.recipe import digest
 from trabecula.engine.files import replacing
 from trabecula.engine.lazy_volume import Slabs, as_slabs
 from trabecula.engine.memory import Plan, check_budget
@@ -27,7 +27,7 @@ from trabecula.layers.drawings import (
     Droplets,
     Masks,
     Outlines,
-    area_share,
+    area_within,
     contours_of,
 )
 from trabecula.layers.droplets import Palette
@@ -152,8 +152,8 @@ def write_layers(
     Raises
     ------
     InputError
-        No unit of length, a pitch out of range, an empty phase, materials for another form, layers
-        that do not exist.
+        No unit of length, a pitch out of range, no phase but void, materials for another form,
+        layers that do not exist.
     UnknownNameError
         An unknown form or phase.
     FileError
@@ -194,6 +194,8 @@ def write_layers(
         **drawn.about,
         "recipe": slabs.recipe.to_json(),
     }
+    if not isinstance(volume, Slabs):  # their recipes hold a digest, those of arrays may not
+        about["sha256"] = digest(as_image(volume).values)
     return _write_folder(drawn, stack, path, chosen.suffix, range(first, last), about)
 
 
@@ -207,25 +209,24 @@ def _write_folder(
 ) -> LayerStack:
     """Write the layers that are not there yet."""
     text = json.dumps(about, indent=1) + "\n"
-    _prepare(path, text, suffix)
+    _prepare(path, text)
     digits = max(4, len(str(stack.layers - 1)))
     names = {k: path / f"layer_{k:0{digits}d}{suffix}" for k in chosen}
     missing = [k for k, name in names.items() if not name.exists()]
     if len(missing) < len(names):
         notify(f"{path}: {len(names) - len(missing)} of {len(names)} layers are there already")
-    voxel = float(np.prod(stack.pitch)) * stack.shape[0] * stack.shape[1]
     volumes: dict[str, float] = {}
     for layer in track(missing, "layers", total=len(missing)):
         with replacing(names[layer]) as temporary:
-            shares = drawn.write(layer, temporary)
-        for material, share in shares.items():
-            volumes[material] = volumes.get(material, 0.0) + share * voxel
+            areas = drawn.write(layer, temporary)
+        for material, area in areas.items():
+            volumes[material] = volumes.get(material, 0.0) + area * stack.pitch[0]
     if missing and not sum(volumes.values()):
         notify(f"{path}: nothing is printed in these layers")
     return replace(stack, written=len(missing), materials=volumes)
 
 
-def _prepare(path: Path, text: str, suffix: str) -> None:
+def _prepare(path: Path, text: str) -> None:
     """Make the folder and its manifest, or raise where it holds anything else."""
     there = path / MANIFEST
     if path.exists() and not path.is_dir():
@@ -249,13 +250,12 @@ def _write_single(
     if path.suffix.lower() != ".cli":
         raise InputError(f"{path}: contours in one file are written as .cli; name it so")
     volume = 0.0
-    pixels = stack.shape[0] * stack.shape[1] * float(np.prod(stack.pitch))
     with replacing(path) as temporary, temporary.open("w", encoding="ascii") as file:
         file.write(cli_header(stack.size, len(chosen), path.stem))
         for layer in track(chosen, "layers", total=len(chosen)):
             lines = contours_of(sampler, printed, layer)
             file.write(cli_layer(lines, (layer + 1) * stack.pitch[0]))
-            volume += area_share(lines, sampler) * pixels
+            volume += area_within(lines) * stack.pitch[0]
         file.write(CLI_END)
     return replace(stack, written=len(chosen), materials={"solid": volume})
 
