@@ -69,15 +69,14 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.mesh.formats import FORMATS
     from trabecula.mesh.sizes import extent_of
     from trabecula.mesh.surface import mesh
-    from trabecula.pipeline.outputs import check_no_bricks, check_target
+    from trabecula.pipeline.outputs import check_no_bricks, check_surface_options, check_target
 
     check_target(options.out, surfaces=True)
     tolerance = None
     if options.tolerance is not None:
         tolerance = shared.number(options.tolerance, name="--tolerance")
+    check_surface_options(options.out, beams=options.beams, tolerance=tolerance)
     if Path(options.out).suffix.lower() in BRICKS:
-        if options.beams or tolerance is not None:
-            raise InputError("--beams and --tolerance are for surfaces: leave them out")
         return _bricks(options)
     check_no_bricks(options.out, _one_or_all(options.phase), _brick_options(options))
     if options.phase and len(options.phase) > 1:
@@ -91,10 +90,6 @@ def run(options: argparse.Namespace) -> int:
     if options.beams:
         return _as_beams(image, options)
     if Path(options.out).suffix.lower() not in FORMATS:
-        if tolerance is not None:
-            raise InputError(
-                f"{options.out} holds voxels, --tolerance is for a surface: leave it out"
-            )
         write(image, options.out)
         print(f"{options.out}: {image!r}")
         return 0

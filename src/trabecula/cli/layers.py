@@ -73,8 +73,6 @@ def run(options: argparse.Namespace) -> int:
         "form": options.form,
         "pitch": shared.numbers(options.pitch, name="--pitch") if options.pitch else None,
     }
-    if isinstance(wanted["pitch"], list) and len(wanted["pitch"]) == 1:
-        wanted["pitch"] = wanted["pitch"][0]
     if not options.dry_run and options.out is None:
         raise InputError("the place of the layers is not given: add --out FOLDER, or --dry-run")
     if options.dry_run:

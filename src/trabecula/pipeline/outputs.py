@@ -95,18 +95,13 @@ def export(
         that is not above 0; a load case where there are no bricks.
     """
     check_target(path, surfaces=True)
-    if beams and (isinstance(image, Slabs) or Path(path).suffix.lower() != ".3mf"):
-        raise InputError("beams are made of a volume in memory, and written as .3mf; name it so")
-    if tolerance is not None:
-        tolerance = as_number(tolerance, name="tolerance", low=1e-3, high=100)
-        if beams or isinstance(image, Slabs):
-            raise InputError("a tolerance is for a surface in memory: leave it out, or beams")
+    check_surface_options(path, beams=beams, tolerance=tolerance)
+    if isinstance(image, Slabs) and (beams or tolerance is not None):
+        raise InputError("beams and decimated surfaces are made of a volume in memory: read it")
     lengths: dict[str, Any] = {"spacing": spacing, "unit": unit, "scale": scale}
     given = {"case": case, "axis": axis, "strain": strain, "moduli": moduli}
     bricks: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     if Path(path).suffix.lower() in BRICKS:
-        if beams or tolerance is not None:
-            raise InputError("beams and a tolerance are for surfaces: leave them out")
         slabs = image if isinstance(image, Slabs) else as_slabs(as_image(image))
         export_bricks(with_lengths(slabs, **lengths), path, phases=phase, **bricks)
         return Path(path)
@@ -124,8 +119,6 @@ def export(
         return write_beams(beam_lattice(image, phase=phase), path)
     if Path(path).suffix.lower() in SURFACES:
         return write_mesh(_surface(image, phase, tolerance), path)
-    if tolerance is not None:
-        raise InputError(f"{path} holds voxels, a tolerance is for a surface: leave it out")
     return files.write(image, path)
 
 
@@ -133,6 +126,27 @@ def _surface(image: Image, phase: str | int | None, tolerance: float | None) -> 
     """Return the surface of a phase, decimated where a tolerance in voxels is given."""
     surface = mesh(image, phase=phase)
     return surface if tolerance is None else decimate(surface, tolerance * min(image.spacing))
+
+
+def check_surface_options(
+    path: str | os.PathLike[str], *, beams: bool, tolerance: float | None
+) -> None:
+    """Raise where beams or a tolerance are given for another format, or for each other.
+
+    Raises
+    ------
+    InputError
+        Beams in another file than .3mf, a tolerance out of range, or for voxels, bricks or beams.
+    """
+    name, suffix = Path(path).name, Path(path).suffix.lower()
+    if beams and suffix != ".3mf":
+        raise InputError(f"{name} holds no beams: they are written as .3mf; name it so")
+    if tolerance is None:
+        return
+    as_number(tolerance, name="tolerance", low=1e-3, high=100)
+    if beams or suffix not in SURFACES:
+        what = "beams" if beams else "voxels"
+        raise InputError(f"{name} holds {what}, a tolerance is for a surface: leave it out")
 
 
 def check_no_bricks(
