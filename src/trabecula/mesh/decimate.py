@@ -23,7 +23,8 @@ from trabecula.core.errors import InputError
 from trabecula.core.progress import report
 from trabecula.engine.memory import Plan, check_budget
 from trabecula.mesh.base import Mesh
-from trabecula.mesh.collapse import Surface, collapse_edges, compact, quadrics
+from trabecula.mesh.check import check
+from trabecula.mesh.collapse import Surface, collapse_edges, compact, limits_of
 from trabecula.mesh.triangle_grid import distances_to, sample_triangles, triangle_grid
 
 # of the squared tolerance: the most that a collapse may cost, in the passes one after the other
@@ -76,8 +77,6 @@ def decimate(mesh: Mesh, tolerance: float) -> Mesh:
     -----
     Triangles of opposite sides of a wall that is thinner than twice the tolerance may cross.
     """
-    from trabecula.mesh.check import check
-
     limit = as_number(tolerance, name="tolerance", low=1e-300, high=1e300)
     if not check(mesh).watertight:
         raise InputError("the surface is not closed, so it cannot be decimated: mend it first")
@@ -87,12 +86,12 @@ def decimate(mesh: Mesh, tolerance: float) -> Mesh:
     edge = float(np.median(np.linalg.norm(vertices[faces[:, 0]] - vertices[faces[:, 1]], axis=1)))
     grid = triangle_grid(vertices, faces, max(limit, edge))
     surface = Surface.of(vertices, faces)
-    squared = quadrics(vertices, faces)
+    limits = limits_of(grid, vertices, _INNER * limit)
     for number, cost in enumerate(_COSTS):
         while True:
             before = len(surface.faces)
-            gone = collapse_edges(surface, squared, grid, _INNER * limit, cost * limit**2, vertices)
-            surface, squared = compact(surface, squared)
+            gone = collapse_edges(surface, limits, cost * limit**2)
+            surface = compact(surface)
             report("decimating", (number + 1) / len(_COSTS))
             if gone < _WORTH * before:
                 break

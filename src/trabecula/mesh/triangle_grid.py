@@ -133,15 +133,21 @@ def is_within(grid, p, most):
 
 
 @inline
-def samples_along(a, b, c, spacing):
-    """Return the number of steps along a triangle's sides that keeps samples `spacing` apart."""
+def longest_side(a, b, c):
+    """Return the length of a triangle's longest side."""
     longest = 0.0
     for one, other in ((a, b), (b, c), (c, a)):
         length = 0.0
         for axis in range(3):
             length += (one[axis] - other[axis]) ** 2
         longest = max(longest, length)
-    return max(1, math.ceil(math.sqrt(longest) / spacing))
+    return math.sqrt(longest)
+
+
+@inline
+def samples_along(a, b, c, spacing):
+    """Return the number of steps along a triangle's sides that keeps samples `spacing` apart."""
+    return max(1, math.ceil(longest_side(a, b, c) / spacing))
 
 
 @kernel
