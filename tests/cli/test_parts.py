@@ -374,6 +374,7 @@ def test_a_method_that_cannot_honour_a_part_says_so(scan_and_ball, monkeypatch):
 def test_finish_does_its_operations_in_one_order(place):
     words = (
         "--fill",
+        "--manifold",
         "--floaters",
         "--thicken",
         90,
@@ -400,6 +401,7 @@ def test_finish_does_its_operations_in_one_order(place):
         ("smooth", {"sigma": 45}),
         ("thicken", {"thickness": 90}),
         ("remove_floaters", {}),
+        ("mend_contacts", {}),
         ("fill_trapped", {}),
     ):
         image = OPERATIONS[name](image, **settings)
@@ -409,6 +411,7 @@ def test_finish_does_its_operations_in_one_order(place):
         "smooth.level",
         "thicken.thin_after",
         "remove_floaters.left",
+        "mend_contacts.contacts",
         "fill_trapped.filled ",
     ):
         assert line in printed

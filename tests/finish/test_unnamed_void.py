@@ -9,6 +9,7 @@ OPERATIONS = {
     "add_crust": {"thickness": 2},
     "connect": {},
     "remove_floaters": {},
+    "mend_contacts": {},
     "fill_trapped": {},
     "smooth": {"sigma": 0.7},
     "thicken": {"thickness": 3},
@@ -19,6 +20,7 @@ OPERATIONS = {
 def test_the_other_of_two_phases_is_what_is_left(name):
     values = np.zeros((14, 14, 14), np.uint8)
     values[2:12, 5:9, 5:9], values[0, 0, 0], values[6, 6, 6] = 1, 1, 0
+    values[12, 9, 5] = 1  # touches by an edge
     finish = tb.finish.OPERATIONS[name]
     named = finish(tb.Image(values, "labels"), **OPERATIONS[name])
     other = finish(

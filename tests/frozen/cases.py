@@ -680,6 +680,7 @@ OPERATIONS: dict[str, Callable[[], Any]] = {
     "thicken": lambda: tb.finish.thicken(rough(), thickness=120.0),
     "remove_floaters": lambda: tb.finish.remove_floaters(rough()),
     "remove_floaters-small": lambda: tb.finish.remove_floaters(rough(), smaller_than=50),
+    "mend_contacts": lambda: tb.finish.mend_contacts(rough()),
     "fill_trapped": lambda: tb.finish.fill_trapped(rough()),
     "trapped": lambda: tb.finish.trapped(rough()),
     "print_check": lambda: asdict(tb.print_check(rough(), printer="sls")),

@@ -5,6 +5,7 @@ Every operation adds a step to the recipe; `trapped` and `print_check` change no
 
 from trabecula.finish.closed_pores import fill_trapped, trapped
 from trabecula.finish.connect import connect
+from trabecula.finish.contacts import mend_contacts
 from trabecula.finish.crust import add_crust
 from trabecula.finish.drain import drain
 from trabecula.finish.floaters import remove_floaters
@@ -25,6 +26,7 @@ __all__ = [
     "fill_trapped",
     "finish_slabs",
     "mask_steps",
+    "mend_contacts",
     "periodic_axes",
     "print_check",
     "prune",

@@ -15,6 +15,7 @@ from trabecula.core.checks import check_name
 from trabecula.core.image import Image
 from trabecula.finish.closed_pores import fill_trapped, fill_trapped_in_place
 from trabecula.finish.connect import connect, connect_in_place
+from trabecula.finish.contacts import mend_contacts
 from trabecula.finish.crust import add_crust
 from trabecula.finish.drain import drain
 from trabecula.finish.floaters import remove_floaters, remove_floaters_in_place
@@ -193,6 +194,15 @@ _DECLARED = (
             metavar="D",
         ),
         bytes_per_voxel=24,
+    ),
+    Operation(
+        "mend_contacts",
+        mend_contacts,
+        Option(
+            "--manifold", "fill voxels where the phase touches itself by an edge or corner alone"
+        ),
+        bytes_per_voxel=22,
+        inputs=("mask",),
     ),
     Operation(
         "fill_trapped",
