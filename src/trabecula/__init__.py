@@ -34,6 +34,7 @@ _NAMES = {
     "crop_margins": "trabecula.exemplar.margins",
     "read_mesh": "trabecula.mesh.files",
     "voxelise": "trabecula.mesh.voxels",
+    "tetrahedra": "trabecula.mesh.tetrahedra.make",
     "segment": "trabecula.exemplar.segment",
     "sample": "trabecula.exemplar.samples",
     "samples": "trabecula.exemplar.samples",

@@ -25,6 +25,7 @@ from trabecula.layers.write import write_layers as write_layers
 from trabecula.measure import describe as describe
 from trabecula.mesh.files import read_mesh as read_mesh
 from trabecula.mesh.surface import mesh as mesh
+from trabecula.mesh.tetrahedra.make import tetrahedra as tetrahedra
 from trabecula.mesh.voxels import voxelise as voxelise
 from trabecula.pipeline.ensemble import ensemble as ensemble
 from trabecula.pipeline.inputs import load as load
@@ -75,6 +76,7 @@ __all__ = [
     "sample",
     "samples",
     "segment",
+    "tetrahedra",
     "threads",
     "verify",
     "verify_ensemble",

@@ -185,7 +185,7 @@ def test_the_form_comes_from_the_recipe_or_from_mask(place):
         "finish", "made.zarr", "--connect", "--mask", "full.tif", "--out", "y.zarr"
     )
     assert (
-        "--mask is the form for --prune, --crust, --connect, --smooth, --thicken and --fill"
+        "form for --prune, --crust, --connect, --smooth, --thicken, --manifold and --fill"
         in refused("finish", "made.zarr", "--floaters", "--mask", "moved.tif", "--out", "y.zarr")
     )
     # A volume of another program, which tells nothing of how it was made.

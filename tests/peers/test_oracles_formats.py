@@ -145,6 +145,23 @@ def test_meshio_reads_bricks(suffix, tmp_path):
     assert found == counts[1:].tolist()
 
 
+def test_others_read_tetrahedra(tmp_path):
+    meshio, gmsh = pytest.importorskip("meshio"), pytest.importorskip("gmsh")
+    part = tb.Image(solid_part()[0].values, "labels", phases=("void", "a", "b"))
+    ours = tb.tetrahedra(part)
+    for suffix in (".vtu", ".msh", ".inp"):
+        theirs = meshio.read(tb.export(part, tmp_path / f"x{suffix}", tetrahedra=2))
+        sides = theirs.points[theirs.get_cells_type("tetra")]
+        sizes = np.linalg.det(sides[:, 1:] - sides[:, :1]) / 6
+        assert sizes.min() > 0 and sizes.sum() == pytest.approx(sum(ours.volume.values()), rel=1e-6)
+    gmsh.initialize()
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.open(str(tmp_path / "x.msh"))
+    assert len(gmsh.model.mesh.getNodes()[0]) == len(ours.points)
+    assert gmsh.model.getPhysicalGroups() == [(3, 2), (3, 3)]
+    gmsh.finalize()
+
+
 def test_vtk_reads_bricks(tmp_path):
     pyvista = pytest.importorskip("pyvista")
     part, counts, voxel = solid_part()

@@ -16,6 +16,7 @@ from scipy.ndimage import gaussian_filter
 
 import trabecula as tb
 from trabecula.mesh.bricks.export import export_bricks
+from trabecula.mesh.tetrahedra.export import write_tetrahedra
 
 _ETC = Path("/usr/share/openfoam")
 """Where Debian's OpenFOAM keeps its defaults; its programs look for it by a variable."""
@@ -101,6 +102,36 @@ def test_calculix_reads_several_phases(tmp_path):
     run("ccx", "two", folder=tmp_path)
     own = tb.measure.stiffness(rock, moduli=given, tolerance=1e-4).moduli["z"]
     assert modulus(tmp_path / "two.inp") == pytest.approx(own, rel=0.01)
+
+
+def pulled(mesh, path):
+    """Return E of tetrahedra that CalculiX pulls along z by a hundredth, between plates."""
+    write_tetrahedra(mesh, path, moduli=(1.0, 0.3))
+    length, below = mesh.extent[2], mesh.face_nodes()["z_low"]
+    far = below[np.argmax(np.abs(mesh.points[below, 0] - mesh.points[below[0], 0]))]
+    with path.open("a") as file:
+        file.write("*STEP\n*STATIC\n*BOUNDARY\nZ_LOW, 3, 3, 0\n")
+        file.write(f"{below[0] + 1}, 1, 2, 0\n{far + 1}, 2, 2, 0\n")
+        file.write(f"Z_HIGH, 3, 3, {length / 100}\n")
+        file.write("*NODE PRINT, NSET=Z_HIGH, TOTALS=ONLY\nRF\n*END STEP\n")
+    run("ccx", path.stem, folder=path.parent)
+    total = re.search(r"total force.*\n\s*\n(.*)", path.with_suffix(".dat").read_text())[1].split()
+    return float(total[2]) / (mesh.extent[0] * mesh.extent[1] * 0.01)
+
+
+@ccx
+@pytest.mark.whole
+def test_calculix_pulls_tetrahedra(tmp_path):
+    """A block has its own modulus; of bone bricks say it about."""
+    block = tb.tetrahedra(np.ones((6, 6, 6), np.uint8), edge=2)
+    assert pulled(block, tmp_path / "block.inp") == pytest.approx(1, rel=1e-4)
+    material = bone(24)
+    fine = pulled(tb.tetrahedra(material, edge=1), tmp_path / "fine.inp")
+    coarse = pulled(tb.tetrahedra(material, edge=1.6), tmp_path / "coarse.inp")
+    path = tmp_path / "bricks.inp"
+    export_bricks(material, path, case="compression")
+    run("ccx", "bricks", folder=tmp_path)
+    assert 0.75 < fine / modulus(path) < 1.1 and 0.6 < coarse / modulus(path) < 1.1
 
 
 def permeability(case):

@@ -1,5 +1,6 @@
-"""`trabecula export FILE --out part.stl`, and bricks for solvers: `--out part.inp|.vtu|.foam
-[--phase NAME ...] [--case CASE] [--axis AXIS] [--strain S] [--moduli NAME=E,NU ...]`.
+"""`trabecula export FILE --out part.stl`, and bricks or tetrahedra for solvers: `--out
+part.inp|.vtu|.msh|.foam [--tetrahedra [EDGE]] [--phase NAME ...] [--case CASE] [--axis AXIS]
+[--strain S] [--moduli NAME=E,NU ...]`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         required=True,
         metavar="FILE",
-        help=".stl .3mf .ply .obj, .inp .vtu .foam (bricks for solvers), or a volume's format",
+        help=".stl .3mf .ply .obj, .inp .vtu .msh .foam (bricks for solvers), or a volume's format",
     )
     parser.add_argument(
         "--phase",
@@ -41,6 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     shared.add_lengths(parser)
     group = parser.add_argument_group("bricks for solvers")
+    group.add_argument(
+        "--tetrahedra",
+        nargs="?",
+        const="2",
+        metavar="EDGE",
+        help="tetrahedra with smooth interfaces instead: cells of so many voxels a side (default "
+        "2); of .inp, .vtu, .msh",
+    )
     group.add_argument(
         "--case",
         metavar="CASE",
@@ -76,6 +85,8 @@ def run(options: argparse.Namespace) -> int:
     if options.tolerance is not None:
         tolerance = shared.number(options.tolerance, name="--tolerance")
     check_surface_options(options.out, beams=options.beams, tolerance=tolerance)
+    if options.tetrahedra is not None:
+        return _tetrahedra(options)
     if Path(options.out).suffix.lower() in BRICKS:
         return _bricks(options)
     check_no_bricks(options.out, _one_or_all(options.phase), _brick_options(options))
@@ -177,6 +188,31 @@ def _in_slabs(volume: Any, options: argparse.Namespace) -> int:
     return 0
 
 
+def _tetrahedra(options: argparse.Namespace) -> int:
+    """Write tetrahedra, and print how many there are and their angles."""
+    from trabecula.io.files import read
+    from trabecula.io.lengths import with_lengths
+    from trabecula.mesh.tetrahedra.export import write_tetrahedra
+    from trabecula.mesh.tetrahedra.make import tetrahedra
+    from trabecula.pipeline.outputs import check_tetrahedra
+
+    edge = shared.number(options.tetrahedra, name="--tetrahedra")
+    check_tetrahedra(options.out, edge, case=options.case)
+    given = _brick_options(options)
+    image = with_lengths(read(options.file), **shared.lengths(options))
+    found = tetrahedra(image, edge=edge, phases=options.phase)
+    write_tetrahedra(found, options.out, **({"moduli": given["moduli"]} if options.moduli else {}))
+    print(f"{options.out}: {len(found.points)} nodes, {len(found.cells)} tetrahedra")
+    for phase, volume in found.volume.items():
+        print(f"volume of {phase} {volume:.6g} {image.unit}^3")
+    angles = found.angles
+    print(
+        f"dihedral angles {angles.least:.1f} to {angles.largest:.1f} degrees; of 99 in 100 "
+        f"tetrahedra the least is above {angles.hundredth:.1f}"
+    )
+    return 0
+
+
 def _bricks(options: argparse.Namespace) -> int:
     """Write bricks, and print how many there are and how they touch."""
     from trabecula.io.files import read
@@ -208,7 +244,7 @@ def _bricks(options: argparse.Namespace) -> int:
     if found.edge_contacts or found.node_contacts:
         print(
             f"bricks touch by an edge alone at {found.edge_contacts} edges, by a node alone at "
-            f"{found.node_contacts} nodes: hinges in a solver"
+            f"{found.node_contacts} nodes: hinges in a solver (finish --manifold joins them)"
         )
     return 0
 

@@ -13,12 +13,21 @@ from trabecula.io.units import canonical, has_length, to_metres
 
 NO_UNIT = "voxel"
 
+_COMMENT = 100  # characters of a line of comment
 _ROWS = 1 << 15  # rows per string: one format operation for thousands of rows is fast
 
 
 def recipe_json(recipe: Recipe) -> str:
     """Return the recipe on one line of ASCII."""
     return json.dumps(recipe.to_json(), separators=(",", ":"))
+
+
+def recipe_lines(recipe: Recipe) -> list[str]:
+    """Return the recipe in lines that are short enough for a comment: solvers read long lines in
+    parts, of which the next would be no comment.
+    """
+    text = recipe_json(recipe)
+    return [text[start : start + _COMMENT] for start in range(0, len(text), _COMMENT)]
 
 
 def recipe_digest(recipe: Recipe) -> str:

@@ -22,7 +22,7 @@ from trabecula.io.lengths import with_lengths
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.beam_file import write_beams
 from trabecula.mesh.beams import beam_lattice
-from trabecula.mesh.bricks.export import Moduli, export_bricks
+from trabecula.mesh.bricks.export import DEFAULT_MODULI, Moduli, export_bricks
 from trabecula.mesh.bricks.formats import FORMATS as BRICKS
 from trabecula.mesh.decimate import decimate
 from trabecula.mesh.files import write_mesh, write_parts
@@ -30,6 +30,9 @@ from trabecula.mesh.formats import FORMATS as SURFACES
 from trabecula.mesh.formats import SurfaceFormat
 from trabecula.mesh.slabs import export_slabs
 from trabecula.mesh.surface import mesh
+from trabecula.mesh.tetrahedra.export import SUFFIXES as TETRAHEDRA
+from trabecula.mesh.tetrahedra.export import write_tetrahedra
+from trabecula.mesh.tetrahedra.make import tetrahedra as make_tetrahedra
 
 
 def export(
@@ -42,6 +45,7 @@ def export(
     scale: float | None = None,
     beams: bool = False,
     tolerance: float | None = None,
+    tetrahedra: float | None = None,
     case: str | None = None,
     axis: str | None = None,
     strain: float | None = None,
@@ -56,7 +60,7 @@ def export(
         Of `Slabs` the surface is written slab by slab, as .stl alone; bricks in any format.
     path : path
         The suffix chooses: a surface for .stl, .3mf, .ply and .obj; bricks for .inp (Abaqus,
-        CalculiX), .vtu and .foam (a folder with an OpenFOAM case); voxels for the formats of
+        CalculiX), .vtu, .msh and .foam (a folder with an OpenFOAM case); voxels for the formats of
         `trabecula.io.formats`.
     phase : str or int, optional
         The phase whose surface is taken; of bricks and .3mf also several. Default: every phase but
@@ -73,6 +77,9 @@ def export(
     tolerance : float, optional
         Decimate the surface: fewer triangles, nowhere farther from it than so many voxels (of their
         shortest edge). Default: all triangles.
+    tetrahedra : float, optional
+        Tetrahedra with smooth interfaces instead of bricks, in a lattice of cells with so many
+        voxels a side (`tb.tetrahedra`): of .vtu, .msh and .inp, without a load case.
     case : {"compression", "shear", "periodic"}, optional
         Load case, of .inp.
     axis : {"z", "y", "x"}, optional
@@ -96,11 +103,18 @@ def export(
     """
     check_target(path, surfaces=True)
     check_surface_options(path, beams=beams, tolerance=tolerance)
+    check_tetrahedra(path, tetrahedra, case=case)
     if isinstance(image, Slabs) and (beams or tolerance is not None):
         raise InputError("beams and decimated surfaces are made of a volume in memory: read it")
     lengths: dict[str, Any] = {"spacing": spacing, "unit": unit, "scale": scale}
     given = {"case": case, "axis": axis, "strain": strain, "moduli": moduli}
     bricks: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    if tetrahedra is not None:
+        if isinstance(image, Slabs):
+            raise InputError("tetrahedra are made of a volume in memory: read it")
+        image = with_lengths(as_image(image), **lengths)
+        found = make_tetrahedra(image, edge=tetrahedra, phases=phase)
+        return write_tetrahedra(found, path, moduli=DEFAULT_MODULI if moduli is None else moduli)
     if Path(path).suffix.lower() in BRICKS:
         slabs = image if isinstance(image, Slabs) else as_slabs(as_image(image))
         export_bricks(with_lengths(slabs, **lengths), path, phases=phase, **bricks)
@@ -147,6 +161,27 @@ def check_surface_options(
     if beams or suffix not in SURFACES:
         what = "beams" if beams else "voxels"
         raise InputError(f"{name} holds {what}, a tolerance is for a surface: leave it out")
+
+
+def check_tetrahedra(
+    path: str | os.PathLike[str], edge: float | None, *, case: str | None = None
+) -> None:
+    """Raise where tetrahedra cannot be written.
+
+    Raises
+    ------
+    InputError
+        Another format, or a load case.
+    """
+    if edge is None:
+        return
+    if Path(path).suffix.lower() not in TETRAHEDRA:
+        raise InputError(
+            f"{Path(path).name} holds no tetrahedra: write {', '.join(TETRAHEDRA)}, or leave "
+            "tetrahedra out"
+        )
+    if case is not None:
+        raise InputError("a load case is for bricks: leave out tetrahedra, or the case")
 
 
 def check_no_bricks(

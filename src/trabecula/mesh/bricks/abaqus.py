@@ -17,7 +17,7 @@ from trabecula.mesh.bricks.context import ExportContext
 from trabecula.mesh.bricks.faces import AXES
 from trabecula.mesh.bricks.grid import BrickGrid
 from trabecula.mesh.bricks.load_case import LoadCase, reference_name
-from trabecula.mesh.text import format_rows
+from trabecula.mesh.text import format_rows, recipe_lines
 
 _BRICK = "%d, %d, %d, %d, %d, %d, %d, %d, %d\n"
 _ACROSS = 10
@@ -37,9 +37,7 @@ def write(grid: BrickGrid, path: Path, context: ExportContext) -> None:
         file.write("*ELSET, ELSET=EALL\n" + "".join(f"{name}\n" for name in names))
         _write_faces(file, context)
         for phase, name in zip(grid.names, names, strict=True):
-            young, poisson = context.moduli[phase]
-            file.write(f"*MATERIAL, NAME={name}\n*ELASTIC\n{young:.9g}, {poisson:.9g}\n")
-            file.write(f"*SOLID SECTION, ELSET={name}, MATERIAL={name}\n")
+            write_material(file, name, context.moduli[phase])
         if context.case:
             _write_case(file, grid, context.case)
 
@@ -62,6 +60,13 @@ def set_names(phases: tuple[str, ...]) -> list[str]:
     return found
 
 
+def write_material(file: TextIO, name: str, moduli: tuple[float, float]) -> None:
+    """Write the constants of a phase, and that its elements are made of it."""
+    young, poisson = moduli
+    file.write(f"*MATERIAL, NAME={name}\n*ELASTIC\n{young:.9g}, {poisson:.9g}\n")
+    file.write(f"*SOLID SECTION, ELSET={name}, MATERIAL={name}\n")
+
+
 def _write_head(file: TextIO, grid: BrickGrid, context: ExportContext) -> None:
     sides = " x ".join(map(str, grid.volume.shape))
     edges = " x ".join(f"{edge:.9g}" for edge in grid.volume.spacing)
@@ -72,7 +77,7 @@ def _write_head(file: TextIO, grid: BrickGrid, context: ExportContext) -> None:
     if context.case:
         lines += _reading(grid, context.case)
     file.write("*HEADING\ntrabecula\n" + "".join(f"** {line}\n" for line in lines))
-    file.write("** recipe\n" + "".join(f"**  {line}\n" for line in context.recipe_lines()))
+    file.write("** recipe\n" + "".join(f"**  {line}\n" for line in recipe_lines(context.recipe)))
 
 
 def _reading(grid: BrickGrid, case: LoadCase) -> list[str]:
@@ -110,7 +115,7 @@ def _write_nodes(file: TextIO, grid: BrickGrid, context: ExportContext) -> None:
             place = ", ".join(f"{-(n + 1) * edge:.9g}" for edge in grid.volume.spacing[::-1])
             file.write(f"{grid.count.nodes + 1 + n}, {place}\n")
         for n, name in enumerate(context.case.references):
-            _write_set(file, name, np.array([grid.count.nodes + n]))
+            write_set(file, name, np.array([grid.count.nodes + n]))
 
 
 def _write_bricks(file: TextIO, grid: BrickGrid, number: int, name: str) -> None:
@@ -129,10 +134,11 @@ def _write_faces(file: TextIO, context: ExportContext) -> None:
     for name in context.faces.faces:
         nodes = context.faces.nodes(name)
         if len(nodes):
-            _write_set(file, name.upper(), nodes)
+            write_set(file, name.upper(), nodes)
 
 
-def _write_set(file: TextIO, name: str, nodes: np.ndarray) -> None:
+def write_set(file: TextIO, name: str, nodes: np.ndarray) -> None:
+    """Write a set of nodes, whose numbers are from 0 here."""
     file.write(f"*NSET, NSET={name}\n")
     numbers = (nodes + 1).tolist()
     for start in range(0, len(numbers), _ACROSS):

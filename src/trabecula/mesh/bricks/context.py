@@ -7,11 +7,6 @@ from dataclasses import dataclass, field
 from trabecula.core.recipe import Recipe
 from trabecula.mesh.bricks.faces import FaceNodes
 from trabecula.mesh.bricks.load_case import LoadCase
-from trabecula.mesh.text import recipe_json
-
-COMMENT = 100
-"""Characters of a line of comment: solvers read long lines in parts, of which the next would be no
-comment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +23,8 @@ class ExportContext:
     case : LoadCase, optional
     axis : int
         Of the flow.
+    suffix : str
+        Of the file.
     """
 
     unit: str
@@ -36,8 +33,4 @@ class ExportContext:
     faces: FaceNodes | None = None
     case: LoadCase | None = None
     axis: int = 0
-
-    def recipe_lines(self) -> list[str]:
-        """Return the recipe in lines that are short enough for a comment."""
-        text = recipe_json(self.recipe)
-        return [text[start : start + COMMENT] for start in range(0, len(text), COMMENT)]
+    suffix: str = ""

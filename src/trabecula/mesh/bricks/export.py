@@ -26,6 +26,7 @@ from trabecula.mesh.bricks.formats import CASES, FLOW, FORMATS, BrickFormat, bri
 from trabecula.mesh.bricks.grid import BrickGrid
 from trabecula.mesh.bricks.load_case import build_case
 from trabecula.mesh.bricks.selection import Bearing, choose_bearing, choose_phases
+from trabecula.mesh.elements import file_size
 
 Moduli = tuple[float, float] | Mapping[str, tuple[float, float]]
 DEFAULT_MODULI = (1.0, 0.3)
@@ -89,8 +90,8 @@ def export_bricks(
         Of `Slabs` no more than some planes are in memory; a load case, and .foam, need the labels
         of all voxels as well, 10 to 18 bytes each.
     path : path
-        `.inp` (Abaqus, CalculiX), `.vtu` (ParaView, meshio), or `.foam`, a folder with an OpenFOAM
-        case. It appears whole or not at all.
+        `.inp` (Abaqus, CalculiX), `.vtu` (ParaView, meshio), `.msh` (Gmsh, FEniCSx, MFEM), or
+        `.foam`, a folder with an OpenFOAM case. It appears whole or not at all.
     phases : str, int or sequence of them, optional
         Phases that become bricks. Default: every phase but "void"; of .foam "void".
     case : {"compression", "shear", "periodic"}, optional
@@ -152,7 +153,7 @@ def export_bricks(
         )
         grid = bearing.grid
     count = grid.count
-    given = _as_moduli(moduli, grid.names)
+    given = as_moduli(moduli, grid.names)
     recipe = slabs.recipe
     faces = collect_faces(grid) if path.suffix.lower() == ".inp" else None
     load = None
@@ -165,11 +166,12 @@ def export_bricks(
                 "the volume was not made periodic: what its faces cut counts as cut there, and it "
                 "comes out too soft"
             )
-    context = ExportContext(slabs.unit, recipe, given, faces, load, along)
+    suffix = path.suffix.lower()
+    context = ExportContext(slabs.unit, recipe, given, faces, load, along, suffix)
     _check_room(path, form, sum(count.bricks))
     with replacing(path) as temporary:
         form.load()(grid, temporary, context)
-        size = _size(temporary)
+        size = file_size(temporary)
     return BrickExport(
         count.nodes,
         dict(zip(grid.names, count.bricks, strict=True)),
@@ -219,7 +221,7 @@ def _check_bricks(grid: BrickGrid, form: BrickFormat, path: Path) -> None:
         )
 
 
-def _as_moduli(moduli: Moduli, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+def as_moduli(moduli: Moduli, names: Sequence[str]) -> dict[str, tuple[float, float]]:
     given = moduli if isinstance(moduli, Mapping) else dict.fromkeys(names, moduli)
     for name in given:
         check_name(name, tuple(names), name="phase of the moduli")
@@ -253,8 +255,3 @@ def _check_room(path: Path, form: BrickFormat, bricks: int) -> None:
             f"cannot write {path}: about {size >> 20} MiB are needed, {free >> 20} MiB are free in "
             f"{folder}"
         )
-
-
-def _size(path: Path) -> int:
-    files = [path] if path.is_file() else [one for one in path.rglob("*") if one.is_file()]
-    return sum(one.stat().st_size for one in files)

@@ -62,9 +62,15 @@ FORMATS: dict[str, BrickFormat] = {
         cases=CASES,
     ),
     ".vtu": BrickFormat(
-        "vtu",
+        "unstructured",
         "voxel bricks as VTK UnstructuredGrid, for ParaView, MFEM, and FEniCSx by meshio",
         most=2**40,
+        bytes_a_brick=90,
+    ),
+    ".msh": BrickFormat(
+        "unstructured",
+        "voxel bricks for Gmsh, FEniCSx and MFEM, a physical group for each phase",
+        most=2**31 // 8,
         bytes_a_brick=90,
     ),
     ".foam": BrickFormat(

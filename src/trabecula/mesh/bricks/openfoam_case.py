@@ -16,6 +16,7 @@ import numpy as np
 
 from trabecula.mesh.bricks.context import ExportContext
 from trabecula.mesh.bricks.grid import BrickGrid
+from trabecula.mesh.text import recipe_lines
 
 WALLS = "walls"
 
@@ -75,7 +76,7 @@ def write_case(
         f"permeability k = Q nu L / (A dp) = Q * {_VISCOSITY * length / (area * drop):.9g} m2",
         f"nu = {_VISCOSITY:g} m2/s, L = {length:.9g} m, A = {area:.9g} m2, dp = {drop:.9g} m2/s2",
     ]
-    lines = [*reading, "recipe", *context.recipe_lines()]
+    lines = [*reading, "recipe", *recipe_lines(context.recipe)]
     # A comment of a line each: none is long, and no recipe can end it.
     comment = "".join(f"// {line}\n" for line in lines)
     _write(path, "system", "controlDict", "dictionary", comment + _CONTROL)

@@ -139,7 +139,7 @@ def _components(
     if hinged:
         notify(
             "bricks hold together by an edge or a node alone, as by hinges: a solver may find them "
-            "loose; join them first (finish --smooth or --thicken)"
+            "loose; join them first (finish --manifold)"
         )
     ends = np.full((int(labels.max()) + 1, 3, 2, 3), -1, np.int64)
     for axis in range(3):

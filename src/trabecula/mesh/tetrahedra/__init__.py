@@ -1,0 +1,1 @@
+"""Tetrahedra that follow the phases: smooth interfaces, shared nodes."""
