@@ -28,7 +28,11 @@ PHYSICS = ("diffusivity", "tortuosity", "conductivity", "permeability", "stiffne
 
 
 def describe_physics(
-    image: Image | ArrayLike, *, box: int | None = None, halving: bool = False
+    image: Image | ArrayLike,
+    *,
+    box: int | None = None,
+    halving: bool = False,
+    tolerance: float | None = None,
 ) -> dict[str, Any]:
     """Transport through the void and the solid along every axis, and the solid's stiffness.
 
@@ -44,6 +48,8 @@ def describe_physics(
         Edge of the centre box, voxels, that is solved. Default: the whole image.
     halving : bool
         Also solve a small box at half the voxel edge, and report what changes.
+    tolerance : float, 1e-10 .. 0.1, optional
+        Of all solvers. Default: each one's own.
 
     Returns
     -------
@@ -66,12 +72,14 @@ def describe_physics(
         return dict.fromkeys(PHYSICS)
     count = min(thread_count(), _count_solves(image, box, halving))
     carrying = {phase: float(phase != "void") for phase in image.phases}
+    settings: dict[str, Any] = {"box": box, "halving": halving}
+    settings |= {} if tolerance is None else {"tolerance": tolerance}
     # The longest first, so that threads end together.
     solvers: dict[str, Callable[[int], Effective]] = {
-        "permeability": lambda axis: permeability(image, axis=axis, box=box, halving=halving),
-        "diffusivity": lambda axis: diffusivity(image, axis=axis, box=box, halving=halving),
+        "permeability": lambda axis: permeability(image, axis=axis, **settings),
+        "diffusivity": lambda axis: diffusivity(image, axis=axis, **settings),
         "conductivity": lambda axis: conductivity(
-            image, conductivities=carrying, axis=axis, box=box, halving=halving
+            image, conductivities=carrying, axis=axis, **settings
         ),
     }
     results: dict[str, dict[str, Any]] = {name: {} for name in solvers}
@@ -87,7 +95,7 @@ def describe_physics(
         ):
             for_slabs(partial(solve, first), min(count, len(jobs) - first), least=1)
     for _ in progress.track([None], "stiffness"):
-        solid = stiffness(image, box=box, halving=halving)
+        solid = stiffness(image, **settings)
     return _plain(results, solid)
 
 

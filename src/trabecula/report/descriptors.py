@@ -32,6 +32,10 @@ from trabecula.measure.streaming.lines import CrossingTally
 from trabecula.measure.thickness import mean_chord
 from trabecula.report.evenness import Windows, measure_evenness, phases_of
 
+_PHYSICS_TOLERANCE = 1e-2
+"""Of the solvers: figures then are right within .3 % (measured on bone and sandstone, 96^3), and
+bands are wider than that by far."""
+
 BINS = 64
 """Bins of the histograms that are compared."""
 
@@ -107,9 +111,11 @@ class LabelDescriptors:
             return self._measure_slabs(image)
         found = describe_numbers(image, level=self.level)
         curves = describe_curves(image, r_max=self.r_max, level=self.level)
-        physics = (
-            describe_physics(image, box=self.box, halving=not part) if self.level == "full" else {}
-        )
+        physics: dict[str, Any] = {}
+        if self.level == "full":
+            physics = describe_physics(
+                image, box=self.box, halving=not part, tolerance=_PHYSICS_TOLERANCE
+            )
         lines = _AxisTallies(image.ndim, self.r_max)
         lines.add(image)
         each_numbers: dict[str, Any] = {}
