@@ -5,6 +5,7 @@
 # Imported plainly, not lazily: several functions bear their module's name, and whichever of the two
 # is set last wins.
 from trabecula.measure.blockwise import describe_slabs
+from trabecula.measure.bodies import Bodies, bodies
 from trabecula.measure.components import (
     component_distance,
     component_sizes,
@@ -49,6 +50,7 @@ from trabecula.measure.mean_variance import SpatialCovariance, variance_of_means
 from trabecula.measure.mechanics import Stiffness, stiffness
 from trabecula.measure.minkowski import Minkowski, euler, euler_density, mean_curvature, minkowski
 from trabecula.measure.morphometry import connectivity_density, morphometry
+from trabecula.measure.network import PoreNetwork, Throats, network
 from trabecula.measure.orientation import orientation, structure_tensor
 from trabecula.measure.percolation import percolates, percolating_fraction
 from trabecula.measure.phase_lists import phase_curves, phase_numbers
@@ -69,19 +71,23 @@ from trabecula.measure.triple_lines import (
 )
 
 __all__ = [
+    "Bodies",
     "Displacement",
     "Effective",
     "Evenness",
     "Interval",
     "Minkowski",
+    "PoreNetwork",
     "SkeletonGraph",
     "SpatialCovariance",
     "Stiffness",
+    "Throats",
     "TripleLine",
     "TurnedCopies",
     "anisotropy",
     "autocorrelation",
     "axis_preference",
+    "bodies",
     "chord_length",
     "coherence",
     "coherent_patches",
@@ -121,6 +127,7 @@ __all__ = [
     "mean_curvature",
     "minkowski",
     "morphometry",
+    "network",
     "orientation",
     "percolates",
     "percolating_fraction",
