@@ -38,9 +38,9 @@ from trabecula.measure.correlation import (
 from trabecula.measure.describe import describe, describe_texture
 from trabecula.measure.displacement import Displacement
 from trabecula.measure.distance import distance_transform, signed_distance
-from trabecula.measure.drainage import drainage
+from trabecula.measure.drainage import drainage, entry_radius
 from trabecula.measure.each_phase import describe_phases
-from trabecula.measure.effective_properties import describe_physics
+from trabecula.measure.effective_properties import describe_network, describe_physics
 from trabecula.measure.evenness import Evenness, evenness
 from trabecula.measure.fabric import anisotropy, fabric
 from trabecula.measure.fractions import porosity, specific_surface, volume_fractions
@@ -50,7 +50,13 @@ from trabecula.measure.mean_variance import SpatialCovariance, variance_of_means
 from trabecula.measure.mechanics import Stiffness, stiffness
 from trabecula.measure.minkowski import Minkowski, euler, euler_density, mean_curvature, minkowski
 from trabecula.measure.morphometry import connectivity_density, morphometry
-from trabecula.measure.network import PoreNetwork, Throats, network
+from trabecula.measure.network import (
+    PoreNetwork,
+    Throats,
+    coordination,
+    network,
+    throat_radius,
+)
 from trabecula.measure.orientation import orientation, structure_tensor
 from trabecula.measure.percolation import percolates, percolating_fraction
 from trabecula.measure.phase_lists import phase_curves, phase_numbers
@@ -99,10 +105,12 @@ __all__ = [
     "connectivity_density",
     "contact",
     "contacts",
+    "coordination",
     "correlation_length",
     "covariance_form",
     "cross_correlation",
     "describe",
+    "describe_network",
     "describe_phases",
     "describe_physics",
     "describe_slabs",
@@ -111,6 +119,7 @@ __all__ = [
     "distance_transform",
     "diversity",
     "drainage",
+    "entry_radius",
     "euler",
     "euler_density",
     "evenness",
@@ -146,6 +155,7 @@ __all__ = [
     "ten_bins",
     "thickness",
     "thin",
+    "throat_radius",
     "tortuosity",
     "triple_phase_active_share",
     "triple_phase_line_density",

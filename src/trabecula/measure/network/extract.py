@@ -127,6 +127,41 @@ def network(
     )
 
 
+def coordination(image: Image | ArrayLike, *, phase: str | int | None = None) -> float | None:
+    """Return the mean number of throats of the pores that no face of the image cuts; None where
+    each is cut.
+
+    Parameters
+    ----------
+    image, phase
+        As for `network`.
+
+    Raises
+    ------
+    InputError
+        As `network`.
+    """
+    net = network(image, phase=phase)
+    return float(net.coordination[net.inside].mean()) if net.inside.any() else None
+
+
+def throat_radius(image: Image | ArrayLike, *, phase: str | int | None = None) -> float | None:
+    """Return the mean radius of the throats between pores, in the image's unit; None without any.
+
+    Parameters
+    ----------
+    image, phase
+        As for `network`.
+
+    Raises
+    ------
+    InputError
+        As `network`.
+    """
+    radius = network(image, phase=phase).throats.radius
+    return float(radius.mean()) if len(radius) else None
+
+
 def _throats(
     cut: Partition, found: Interfaces, peaks: np.ndarray, radius: np.ndarray, scale: float
 ) -> Throats:
