@@ -60,6 +60,10 @@ from trabecula.measure.network import (
 from trabecula.measure.orientation import orientation, structure_tensor
 from trabecula.measure.percolation import percolates, percolating_fraction
 from trabecula.measure.phase_lists import phase_curves, phase_numbers
+from trabecula.measure.relative_permeability import (
+    RelativePermeability,
+    relative_permeability,
+)
 from trabecula.measure.skeleton import SkeletonGraph, skeleton_graph, thin
 from trabecula.measure.thickness import chord_length, local_thickness, pore_size, thickness
 from trabecula.measure.transport import (
@@ -84,6 +88,7 @@ __all__ = [
     "Interval",
     "Minkowski",
     "PoreNetwork",
+    "RelativePermeability",
     "SkeletonGraph",
     "SpatialCovariance",
     "Stiffness",
@@ -145,6 +150,7 @@ __all__ = [
     "phase_numbers",
     "pore_size",
     "porosity",
+    "relative_permeability",
     "signed_distance",
     "size_distribution",
     "skeleton_graph",
