@@ -6,6 +6,8 @@
 # is set last wins.
 from trabecula.measure.blockwise import describe_slabs
 from trabecula.measure.bodies import Bodies, bodies
+from trabecula.measure.bone import bone_figures, structure_model_index
+from trabecula.measure.coating import Coating, coating
 from trabecula.measure.components import (
     component_distance,
     component_sizes,
@@ -60,6 +62,7 @@ from trabecula.measure.network import (
 from trabecula.measure.orientation import orientation, structure_tensor
 from trabecula.measure.percolation import percolates, percolating_fraction
 from trabecula.measure.phase_lists import phase_curves, phase_numbers
+from trabecula.measure.plates import PlatesAndRods, plates_and_rods
 from trabecula.measure.relative_permeability import (
     RelativePermeability,
     relative_permeability,
@@ -82,11 +85,13 @@ from trabecula.measure.triple_lines import (
 
 __all__ = [
     "Bodies",
+    "Coating",
     "Displacement",
     "Effective",
     "Evenness",
     "Interval",
     "Minkowski",
+    "PlatesAndRods",
     "PoreNetwork",
     "RelativePermeability",
     "SkeletonGraph",
@@ -99,7 +104,9 @@ __all__ = [
     "autocorrelation",
     "axis_preference",
     "bodies",
+    "bone_figures",
     "chord_length",
+    "coating",
     "coherence",
     "coherent_patches",
     "component_distance",
@@ -148,6 +155,7 @@ __all__ = [
     "permeability",
     "phase_curves",
     "phase_numbers",
+    "plates_and_rods",
     "pore_size",
     "porosity",
     "relative_permeability",
@@ -157,6 +165,7 @@ __all__ = [
     "sources",
     "specific_surface",
     "stiffness",
+    "structure_model_index",
     "structure_tensor",
     "ten_bins",
     "thickness",

@@ -126,6 +126,27 @@ def partition(
     return Partition(labels, peaks, spheres.radius, ways, crossed, steps, wraps)
 
 
+def grow(inside: np.ndarray, seeds: np.ndarray, wraps: tuple[bool, ...]) -> np.ndarray:
+    """Return for every voxel of a phase the nearest seed by steps across faces, from 1, int32; 0
+    outside, and where no way leads to.
+
+    Parameters
+    ----------
+    inside : bool array, (Z, Y, X)
+    seeds : int64 array, (N, 3)
+        Voxels of the phase; the first of those equally near is taken.
+    wraps : three bool
+        Steps lead through the faces of these axes.
+    """
+    labels = np.zeros(inside.shape, np.int32)
+    ways, crossed = np.zeros(inside.shape, np.uint8), np.zeros((1, 1, 1), np.int8)
+    ends = np.full((2, 2), -1, np.int64)
+    following = np.empty(inside.size, np.int32 if inside.size < 2**31 else np.int64)
+    rank = inside.astype(np.int32)
+    _flood(rank, seeds, STEPS, np.array(wraps), ends, following, labels, ways, crossed)
+    return labels
+
+
 @kernel
 def _flood(rank, peaks, steps, wraps, ends, following, labels, ways, crossed):
     """Grow the regions from the highest rank down. `ends` (first and last) and `following` are a
