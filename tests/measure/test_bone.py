@@ -29,7 +29,7 @@ WAYS = [(1, 0, 0), (1, 1, 0), (3, 1, 2)]
 def test_rods_and_plates_in_any_direction(way):
     thin, flat = rod(32, 4, way), plate(32, 6, way)
     assert structure_model_index(thin) == pytest.approx(3, abs=0.45)
-    assert structure_model_index(flat) == pytest.approx(0, abs=0.25)
+    assert structure_model_index(flat) == pytest.approx(0, abs=0.35)
     rods, plates = plates_and_rods(thin), plates_and_rods(flat)
     assert rods.rods == 1 and plates.plates == 1 and rods.plates + rods.rods == 1
     assert rods.factor > 0.35 and plates.factor < -0.35
