@@ -28,8 +28,10 @@ WAYS = [(1, 0, 0), (1, 1, 0), (3, 1, 2)]
 @pytest.mark.parametrize("way", WAYS)
 def test_rods_and_plates_in_any_direction(way):
     thin, flat = rod(32, 4, way), plate(32, 6, way)
+    inner = np.zeros(flat.shape, bool)
+    inner[5:-5, 5:-5, 5:-5] = True  # a smoothed plate bends at the faces
     assert structure_model_index(thin) == pytest.approx(3, abs=0.45)
-    assert structure_model_index(flat) == pytest.approx(0, abs=0.35)
+    assert structure_model_index(flat, mask=inner) == pytest.approx(0, abs=0.1)
     rods, plates = plates_and_rods(thin), plates_and_rods(flat)
     assert rods.rods == 1 and plates.plates == 1 and rods.plates + rods.rods == 1
     assert rods.factor > 0.35 and plates.factor < -0.35
