@@ -18,7 +18,7 @@ from trabecula.engine.parallel import for_slabs
 from trabecula.measure.fabric import fabric
 from trabecula.measure.minkowski import minkowski
 from trabecula.measure.morphometry import MORPHOMETRY_POWERS, morphometry
-from trabecula.measure.phases import as_periodic, indicator_in_mask
+from trabecula.measure.phases import as_mask, as_periodic, indicator, indicator_in_mask
 from trabecula.measure.plates import plates_and_rods
 from trabecula.measure.smooth import gaussian, reach_of
 from trabecula.measure.thickness import sphere_diameters
@@ -83,7 +83,9 @@ def structure_model_index(
     InputError
         A 2-D image, and as `minkowski`.
     """
-    image, inside, region = indicator_in_mask(image, phase, mask)
+    # the phase goes on beyond the mask, whose rim is no surface
+    image, inside = indicator(image, phase)
+    region = as_mask(mask, image.shape)
     if image.ndim != 3:
         raise InputError("the structure model index is of a volume: the image is 2-D")
     found = minkowski(image, phase=phase, mask=mask, periodic=periodic)
