@@ -228,3 +228,9 @@ def test_what_it_cannot_cut_is_refused():
             network(tb.Image(values.astype(np.uint8), "labels", phases=("void", "solid")))
     with pytest.raises(InputError, match="reach"):
         network(ROCK, reach=0)
+
+
+def test_diffusivity_stays_below_the_fraction():
+    balls = spheres(16, 10.0, 2)  # hardly a neck: the void is one
+    found = network(balls).diffusivity(0)
+    assert found.value <= found.fraction == pytest.approx((balls == 0).mean())
