@@ -171,6 +171,23 @@ def test_no_peak_lies_inside_the_ball_of_a_higher_one():
     assert (np.diff(found.radius) <= 0).all()
 
 
+@pytest.mark.parametrize(("apart", "pores"), [(7, 1), (20, 2)])
+def test_balls_that_overlap_much_are_one_pore(apart, pores):
+    z, y, x = np.ogrid[:30, :30, :52]
+    near = np.minimum(abs(x - 15), abs(x - 15 - apart))
+    values = ((z - 15) ** 2 + (y - 15) ** 2 + near**2 >= 12**2).astype(np.uint8)
+    assert len(network(values)) == pores
+
+
+def test_a_long_duct_between_rooms_is_a_throat():
+    # its middle line is as high as itself, and touches the rooms, which are higher
+    values = np.ones((13, 13, 48), np.uint8)
+    values[1:12, 1:12, 1:12] = values[1:12, 1:12, 36:47] = values[5:8, 5:8, 12:36] = 0
+    found = network(values)
+    assert len(found) == 2 and found.throats.pores.tolist() == [[0, 1]]
+    assert found.throats.centre[0] == pytest.approx([6, 6, 23.5], abs=0.6)
+
+
 def test_a_saddle_is_no_pore():
     # an hourglass: the neck's middle is a ridge of the distance map, not a peak
     z, y, x = np.ogrid[:40, :25, :25]

@@ -1,7 +1,7 @@
 """Relative permeability: the flow of each of two fluids through what it fills.
 
 Drainage or imbibition by morphology says where each fluid is at a radius (`measure.displacement`),
-a direct solve how well that conducts. Cortis and Silin 2013 (arXiv:1311.3988, section 2) do the
+a direct solve how well that conducts. Cortis and Silin 2013 (arXiv:1311.3988) do the
 same: capillary equilibrium, each fluid at rest for the other.
 """
 

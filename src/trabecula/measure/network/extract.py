@@ -32,10 +32,10 @@ _TO_WALL = 0.25
 """Edges between the distance to the next voxel's centre and that to the wall, on the mean of voids
 of odd and even width, as for `local_thickness`."""
 
-_ALPHA = 0.6  # Dong and Blunt 2009, equation (3)
+_ALPHA = 0.6  # Dong and Blunt 2009
 
 # Shape factors of an equilateral triangle, a square and a circle, and the conductance of each over
-# G A^2 / length (Patzek and Silin 2001, doi:10.1006/jcis.2000.7413, section 3).
+# G A^2 / length (Patzek and Silin 2001, doi:10.1006/jcis.2000.7413).
 _SHAPES = np.array([3**0.5 / 36, 1 / 16, 1 / (4 * np.pi)])
 _FACTORS = np.array([0.6, 0.5623, 0.5])
 

@@ -44,7 +44,7 @@ class Throats:
     """(T,) G = A / P^2: 1 / (4 pi) for a circle, the most there can be, .0625 for a square."""
     conduits: np.ndarray
     """(T, 3) lengths of the first pore's part, of the throat and of the second pore's part: Dong
-    and Blunt 2009 (doi:10.1103/PhysRevE.80.036307), equation (3) with alpha = .6."""
+    and Blunt 2009 (doi:10.1103/PhysRevE.80.036307) with alpha = .6."""
     flow: np.ndarray
     """(T,) conductance from centre to centre times the viscosity, length^3."""
     diffusion: np.ndarray

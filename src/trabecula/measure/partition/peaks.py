@@ -1,6 +1,6 @@
 """Peaks of a distance map: the seeds of a watershed that cuts a phase at its necks.
 
-Gostick 2017 (SNOW, doi:10.1103/PhysRevE.96.023307), section II:
+Gostick 2017 (SNOW, doi:10.1103/PhysRevE.96.023307):
 
 1. the distance map is smoothed, so that single voxels of the wall make no peak of their own;
 2. peaks are the voxels that nothing exceeds within a ball of `reach` voxels;
