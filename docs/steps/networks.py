@@ -1,4 +1,4 @@
-"""Draw a pore network: a slice with the pores in colours, and pores and throats seen at an angle."""
+"""Draw a pore network: a slice with the pores in colours, and pores and throats in space."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ def _balls(net: tb.measure.PoreNetwork) -> Image.Image:
 
 _SECTION = """## A pore network
 
-The void of 64^3 of `sample:foam`: left the middle slice, every pore in a colour, right its {pores} pores (balls of .6
-times their radius) and {throats} throats. [How](../howto/networks.md).
+The void of 64^3 of `sample:foam`: left the middle slice, every pore in a colour, right its
+{pores} pores (balls of .6 times their radius) and {throats} throats. [How](../howto/networks.md).
 
 ![a slice with pores in colours, and the network](network.png)
 """

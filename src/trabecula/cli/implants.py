@@ -100,13 +100,12 @@ def show(found: dict[str, Any]) -> None:
     terminal.show_rows([("sections", "mean", "sd", "n"), *cells])
     print()
     verdicts = {True: "inside", False: "OUTSIDE", None: "not judged"}
-    rows = []
+    table: list[tuple[str, ...]] = [("21 CFR 888.3358", "value", "range", "unit", "")]
     for name, one in window.items():
         span = "-" if one["range"] is None else " to ".join(map(terminal.brief, one["range"]))
-        rows.append(
-            (name, terminal.brief(one["value"]), span, one["unit"], verdicts[one["inside"]])
-        )
-    terminal.show_rows([("21 CFR 888.3358", "value", "range", "unit", ""), *rows])
+        cell = terminal.brief(one["value"])
+        table.append((name, cell, span, one["unit"], verdicts[one["inside"]]))
+    terminal.show_rows(table)
 
 
 def _unit(unit: str, power: int) -> str:

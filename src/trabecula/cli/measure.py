@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -65,7 +65,8 @@ def run(options: argparse.Namespace) -> int:
             "--confidence is of the solid and of every phase's fraction: leave out --phase"
         )
     two_fluids.check(options)
-    show, measured = _show, _describe
+    show: Callable[[Any], None] = _show
+    measured: Callable[[argparse.Namespace], dict[str, Any]] = _describe
     if implants.is_asked(options):
         show, measured = implants.show, implants.measure
     elif options.drainage is not None:
