@@ -247,6 +247,24 @@ def test_what_it_cannot_cut_is_refused():
         network(ROCK, reach=0)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_of_any_shape_is_sound(seed):
+    rng = np.random.default_rng(seed)
+    values = (rng.random(rng.integers(2, 11, 3)) < 0.45).astype(np.uint8)
+    wraps = rng.integers(0, 2, 3).astype(bool).tolist() if seed % 2 else [False] * 3
+    image = tb.Image(values, "labels", tuple(rng.uniform(0.5, 2, 3)), "um", ("void", "solid"))
+    found = network(image, periodic=wraps)
+    assert np.array_equal(found.regions > 0, values == 0)
+    assert (found.throats.flow > 0).all() and np.isfinite(found.throats.flow).all()
+    assert (found.throats.shape_factor <= 1 / (4 * np.pi) + 1e-12).all()
+    through = tb.measure.percolates(image, phase="void")
+    for axis, name in enumerate("zyx"):
+        flow = found.permeability(axis)
+        assert flow.converged and flow.imbalance < 1e-6
+        if not any(wraps):
+            assert (flow.value > 0) == through[name]
+
+
 def test_diffusivity_stays_below_the_fraction():
     balls = spheres(16, 10.0, 2)  # hardly a neck: the void is one
     found = network(balls).diffusivity(0)

@@ -50,7 +50,9 @@ def effective(net: PoreNetwork, axis: int, inner: np.ndarray, outer: np.ndarray)
     np.add.at(right, second, weight * drop)
     system = _Network(first, second, weight, inlet + outlet, len(net))
     x = np.zeros(len(net))
-    limit = _TOLERANCE**2 * max(float(right @ right), 1e-300)
+    # what a pore's throats to its own image put in cancels out, but for rounding
+    size = inlet + np.bincount(first, weight * abs(drop), len(net))
+    limit = _TOLERANCE**2 * float(size @ size)
 
     def accept(at: Iterate) -> bool:
         return bool(at.residual @ at.residual <= limit)
