@@ -265,6 +265,13 @@ def test_noise_of_any_shape_is_sound(seed):
             assert (flow.value > 0) == through[name]
 
 
+def test_a_cell_whose_pore_meets_itself_alone_converges():
+    rng = np.random.default_rng(0)
+    found = network((rng.random(rng.integers(2, 7, 3)) < 0.3).astype(np.uint8), periodic=True)
+    assert len(found) == 1 and len(found.throats) > 3
+    assert all(found.permeability(axis).converged for axis in range(3))
+
+
 def test_diffusivity_stays_below_the_fraction():
     balls = spheres(16, 10.0, 2)  # hardly a neck: the void is one
     found = network(balls).diffusivity(0)
