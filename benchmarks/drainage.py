@@ -23,7 +23,7 @@ def drainage() -> None:
     drain(tb.crop(scan, 32), trapping=True)  # compiles
     imbibition(tb.crop(scan, 32), trapping=True)
     row = table("job, CPU s", *(f"{side}^3" for side in SIDES))
-    volumes = {side: _sized(scan, side) for side in SIDES}
+    volumes = {side: sized(scan, side) for side in SIDES}
     jobs = {
         "drainage": lambda one: drain(one),
         "drainage, trapping": lambda one: drain(one, trapping=True),
@@ -43,7 +43,7 @@ def drainage() -> None:
         row(name, *(f"{one:.3f}" for one in shares), f"{found.trapped:.3f}", entry)
 
 
-def _sized(scan: tb.Image, side: int) -> tb.Image:
+def sized(scan: tb.Image, side: int) -> tb.Image:
     """Return the centre of a scan with void at 0 and voxels of 1, or the scan continued by its
     mirror image.
     """

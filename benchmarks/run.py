@@ -34,6 +34,7 @@ import image_paper
 import image_speed
 import image_truth
 import intervals
+import networks
 import noise
 import novelty_blind
 import printing
@@ -120,6 +121,7 @@ CASES: dict[str, Callable[[], None]] = {
     "intervals": intervals.intervals,
     "drainage": drainage.drainage,
     "drainage_tubes": drainage.drainage_tubes,
+    "networks": networks.networks,
     "measures": measures,
     "large": large,
     "descriptors": descriptors,

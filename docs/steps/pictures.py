@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import trabecula as tb
+from steps.networks import draw_network
 from steps.paper import draw_paper
 from steps.presets import draw_presets
 from trabecula.report.source_map import source_map
@@ -30,6 +31,7 @@ def draw(folder: Path) -> None:
         parts.append(draw_sample(name, folder))
     parts.append(draw_shapes(folder))
     parts.append(draw_sources(folder))
+    parts.append(draw_network(folder))
     parts.append(draw_looks(folder))
     parts.append(draw_presets(folder))
     parts.append(draw_paper(folder))

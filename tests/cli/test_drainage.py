@@ -49,3 +49,18 @@ def test_what_does_not_go_with_it_is_refused(bottle):
     np.save("picture.npy", bottle.values[:, 4])
     picture = ("measure", "picture.npy", "--kind", "labels", "--phases", "void", "solid")
     assert "axes y and x" in refused(*picture, "--drainage", "z")
+
+
+def test_relative_permeability_is_the_librarys(bottle):
+    words = ("measure", "bottle.zarr", "--drainage", "--relative-permeability", "0.5", "0.9")
+    found = json.loads(trabecula(*words, "--json").out)["relative_permeability"]
+    own = tb.measure.relative_permeability(bottle, axis=0, saturations=[0.5, 0.9])
+    assert found["drainage"] == own.to_json()
+    assert "does not percolate" in [*found["drainage"]["nonwetting"], *found["drainage"]["wetting"]]
+    assert set(found) == {"drainage", "imbibition"}
+    lines = trabecula(*words).out
+    assert "relative permeability, drainage: of " in lines and "does not percolate" in lines
+    bare = ("measure", "bottle.zarr", "--relative-permeability")
+    assert "--drainage as well" in refused(*bare)
+    assert "has no way to flow" in refused(*words[:2], "--drainage", "all", *words[3:])
+    assert "outside 0" in refused(*words[:4], "60")

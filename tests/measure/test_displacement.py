@@ -10,7 +10,7 @@ from scipy import ndimage
 
 import trabecula as tb
 from trabecula.errors import InputError
-from trabecula.measure import drainage, imbibition, local_thickness, percolates
+from trabecula.measure import drainage, entry_radius, imbibition, local_thickness, percolates
 
 
 def pores(shape, seed, share=0.55, width=1.0):
@@ -307,3 +307,17 @@ def test_what_cannot_be_drained_is_refused(bottle):
         drainage(bottle, surface_tension=0.07, contact_angle=90)
     with pytest.raises(InputError, match="must be positive"):
         drainage(bottle).nonwetting(0)
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (2.0, 1.5, 1.0)])
+def test_the_entry_radius_is_that_of_drainage(spacing):
+    image = tb.Image(pores((18, 20, 22), 3, share=0.4), "labels", spacing, "um")
+    found = entry_radius(image)
+    for axis, name in enumerate("zyx"):
+        expected = drainage(image, inlet=(axis, 0)).entry_radius
+        assert found[name] == pytest.approx(expected, rel=1e-6)
+    slab = np.ones((6, 8), np.uint8)
+    slab[2:4] = 0
+    assert entry_radius(slab) == {"y": 0.0, "x": 1.0}
+    with pytest.raises(InputError, match="fills the whole"):
+        entry_radius(np.zeros((4, 4, 4), np.uint8))

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 from trabecula.io.formats import FORMATS
+from trabecula.io.networks import FORMATS as NETWORKS
 from trabecula.measure.registry import DESCRIPTORS
 from trabecula.mesh.bricks.formats import FORMATS as BRICKS
 from trabecula.mesh.formats import READABLE as SURFACES
@@ -30,6 +31,7 @@ def test_every_format_has_its_row():
     assert sorted(names("Formats of volumes and pictures")) == sorted(suffixes)
     assert sorted(names("Formats of surfaces")) == sorted(SURFACES)
     assert sorted(names("Formats of bricks")) == sorted(BRICKS)
+    assert sorted(names("Formats of networks")) == sorted(NETWORKS)
 
 
 def test_every_named_test_exists():

@@ -247,3 +247,16 @@ def area(points, triangles):
     """Return the area of triangles."""
     a, b, c = (np.asarray(points, float)[triangles[:, k]] for k in range(3))
     return np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+
+
+def test_vtk_reads_a_network(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    values = np.ones((9, 9, 20), np.uint8)
+    values[1:8, 1:8, 1:8] = values[1:8, 1:8, 11:18] = values[3:6, 3:6, 8:11] = 0
+    net = tb.measure.network(tb.Image(values, "labels", 2.0, "um"))
+    net.write(tmp_path / "net.vtp")
+    found = pyvista.read(tmp_path / "net.vtp")
+    assert found.n_points == 2 and found.n_lines == 1
+    assert found.points == pytest.approx(net.centres[:, ::-1] * 1e-6)
+    assert found.cell_data["throat.cross_sectional_area"] == pytest.approx([0, 0, 36e-12])
+    assert found.point_data["pore.volume"].sum() == pytest.approx(net.volume.sum() * 1e-18)

@@ -290,3 +290,77 @@ def test_diffusivity_is_taufactors():
     weak = {"void": 1.0, "solid": 0.0}
     found = tb.measure.conductivity(image, axis=0, conductivities=weak).value
     assert found == pytest.approx(share, rel=0.01)
+
+
+def berea(data, side):
+    """Return a corner of the sandstone, edges of 5 um."""
+    values = (tb.read(data / "berea_sandstone_a.tif").values[(slice(side),) * 3] != 0).astype(
+        np.uint8
+    )
+    return tb.Image(values, "labels", 5.0, "um", phases=("void", "solid"))
+
+
+def test_networks_are_near_porespys(data):
+    networks = pytest.importorskip("porespy").networks
+    image = berea(data, 100)
+    theirs = networks.snow2(image.values == 0, boundary_width=3).network
+    ours = tb.measure.network(image)
+    inner = ~theirs["pore.boundary"]
+    between = inner[theirs["throat.conns"]].all(axis=1)
+    assert len(ours) == pytest.approx(inner.sum(), rel=0.15)
+    assert len(ours.throats) == pytest.approx(between.sum(), rel=0.15)
+    # they leave out what reaches no face, so the figures are of the pores of all components there
+    joined = np.bincount(theirs["throat.conns"][between].ravel(), minlength=len(inner))[inner]
+    own = ours.coordination[ours.coordination > 0]
+    assert own.mean() == pytest.approx(joined[joined > 0].mean(), rel=0.15)
+    wide = theirs["throat.inscribed_diameter"][between].mean() / 2
+    assert ours.throats.radius.mean() / 5 == pytest.approx(wide, rel=0.3)
+
+
+def test_openpnm_reads_a_network_and_solves_the_same(data, tmp_path):
+    openpnm = pytest.importorskip("openpnm")
+    image = berea(data, 80)
+    ours = tb.measure.network(image)
+    for name in ("net.npz", "net.csv", "net.dat"):
+        ours.write(tmp_path / name)
+    arrays = openpnm.io.network_from_porespy(dict(np.load(tmp_path / "net.npz")))
+    columns = openpnm.io.network_from_csv(str(tmp_path / "net.csv"))
+    for net in (arrays, columns):
+        assert len(net["pore.coords"]) == len(ours) + len(ours.openings)
+        alone = openpnm.utils.check_network_health(net)["disconnected_pores"]
+        openpnm.topotools.trim(network=net, pores=alone)
+        fluid = openpnm.phase.Phase(network=net)
+        fluid["pore.viscosity"] = 1e-3
+        fluid["throat.viscosity"] = 1e-3
+        fluid.add_model(
+            propname="throat.hydraulic_conductance",
+            model=openpnm.models.physics.hydraulic_conductance.generic_hydraulic,
+        )
+        for axis, name in enumerate("zyx"):
+            flow = openpnm.algorithms.StokesFlow(network=net, phase=fluid)
+            flow.set_value_BC(pores=net.pores(f"{name}min"), values=1.0)
+            flow.set_value_BC(pores=net.pores(f"{name}max"), values=0.0)
+            flow.run()
+            through = abs(float(flow.rate(pores=net.pores(f"{name}min"))[0]))
+            own = ours.permeability(axis).value * 1e-12
+            assert through * 1e-3 / (80 * 5e-6) == pytest.approx(own, rel=1e-6)
+    rock = openpnm.io.network_from_statoil(str(tmp_path), "net")
+    assert len(rock["pore.coords"]) == len(ours)
+    assert len(rock["throat.conns"]) == len(ours.throats)
+    assert rock["pore.volume"] == pytest.approx(ours.volume * 1e-18, rel=1e-5)
+    assert rock["pore.inlets"].sum() == (ours.openings.face == 4).sum()
+    assert rock["pore.outlets"].sum() == (ours.openings.face == 5).sum()
+
+
+def test_bodies_have_skimages_moments():
+    measure = pytest.importorskip("skimage.measure")
+    ours = tb.measure.bodies(IMAGE)
+    theirs = measure.regionprops(ours.regions)
+    assert len(theirs) == len(ours)
+    for k, one in enumerate(theirs):
+        assert ours.volume[k] == one.area * 8
+        assert ours.centroid[k] == pytest.approx(2 * np.array(one.centroid))
+        if one.area > 20:  # they take voxels for points: a voxel's own moment is 1 / 12
+            values = np.linalg.eigvalsh(one.inertia_tensor)
+            spread = values.sum() / 2 - values + 1 / 12
+            assert np.sort((ours.axes[k] / 2) ** 2 / 20) == pytest.approx(np.sort(spread))

@@ -29,6 +29,14 @@ EXAMPLES = {
         "trabecula measure bone.zarr --quick",
         "trabecula measure sample:bone --crop 48 --full --box 16 --json",
     ),
+    "network": (
+        "trabecula network sample:bone --crop 48",
+        "trabecula network part.zarr --out pores.npz --json",
+    ),
+    "bodies": (
+        "trabecula bodies sample:bone --crop 48",
+        "trabecula bodies part.zarr --phase void --out cells.csv --json",
+    ),
     "verify": (
         "trabecula verify sample:bone bone.zarr",
         "trabecula verify sample:bone bone.zarr --quick --report report.html",

@@ -25,6 +25,8 @@ VERBS = {
     "generate": "make material from an exemplar, or with a model",
     "plan": "forecast the memory, disk and time of a generate",
     "measure": "measure every descriptor of a material",
+    "network": "extract pores and throats, and write them for pore-network codes",
+    "bodies": "measure grains, particles or cells: sizes, shapes, contacts, directions",
     "verify": "compare with an exemplar: figures against the exemplar's own spread",
     "field": "make or measure target fields, for --target NAME=FILE",
     "finish": "make it printable: prune, connect, smooth, thicken, remove floaters, fill pores",

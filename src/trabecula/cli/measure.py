@@ -1,16 +1,16 @@
 """`trabecula measure FILE [--phase NAME|all] [--quick | --full] [--confidence [LEVEL]]
-[--sizes HTML] [--drainage [AXIS]] [--memory GIB] [--json]`.
+[--sizes HTML] [--drainage [AXIS]] [--bone | --coating [AXIS]] [--memory GIB] [--json]`.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
+from trabecula.cli import implants, terminal, two_fluids
 from trabecula.cli import options as shared
-from trabecula.cli import terminal, two_fluids
 from trabecula.core.errors import InputError
 
 EACH = ("phases", "pairs", "triples")
@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     shared.add_level(parser)
     _add_confidence(parser)
     two_fluids.add_arguments(parser)
+    implants.add_arguments(parser)
     shared.add_reading(parser)
 
 
@@ -64,8 +65,13 @@ def run(options: argparse.Namespace) -> int:
             "--confidence is of the solid and of every phase's fraction: leave out --phase"
         )
     two_fluids.check(options)
-    show = _show if options.drainage is None else two_fluids.show
-    found = _describe(options) if options.drainage is None else two_fluids.measure(options)
+    show: Callable[[Any], None] = _show
+    measured: Callable[[argparse.Namespace], dict[str, Any]] = _describe
+    if implants.is_asked(options):
+        show, measured = implants.show, implants.measure
+    elif options.drainage is not None:
+        show, measured = two_fluids.show, two_fluids.measure
+    found = measured(options)
     if options.json:
         terminal.show_json(found)
     else:

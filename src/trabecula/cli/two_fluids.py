@@ -36,6 +36,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --drainage: N/m, gives capillary pressures in Pa (mercury .48, water .072)",
     )
     group.add_argument(
+        "--relative-permeability",
+        nargs="*",
+        metavar="S",
+        help="with --drainage z, y or x: solve the flow of each fluid at these saturations of the "
+        "non-wetting one (no number: .2 .4 .6 .8); minutes from 100 voxels a side on",
+    )
+    group.add_argument(
         "--contact-angle",
         metavar="DEGREES",
         help="with --surface-tension (default 0; mercury 140)",
@@ -45,10 +52,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def check(options: argparse.Namespace) -> None:
     """Raise where options do not go together."""
     if options.drainage is None:
-        if options.trapping or options.surface_tension or options.contact_angle:
+        if (
+            options.trapping
+            or options.surface_tension
+            or options.contact_angle
+            or options.relative_permeability is not None
+        ):
             raise InputError(
-                "--trapping, --surface-tension and --contact-angle are of two fluids: give "
-                "--drainage as well"
+                "--trapping, --surface-tension, --contact-angle and --relative-permeability are of "
+                "two fluids: give --drainage as well"
             )
         return
     if options.drainage not in ("z", "y", "x", "all"):
@@ -57,6 +69,10 @@ def check(options: argparse.Namespace) -> None:
         )
     if options.drainage == "all" and options.trapping:
         raise InputError("--drainage all leaves no face to flow out of: leave out --trapping")
+    if options.drainage == "all" and options.relative_permeability is not None:
+        raise InputError(
+            "--drainage all has no way to flow along: give an axis for --relative-permeability"
+        )
     if options.contact_angle and not options.surface_tension:
         raise InputError("--contact-angle needs a tension: give --surface-tension as well")
     if options.level != "default" or options.confidence is not None or options.phase == "all":
@@ -68,10 +84,12 @@ def check(options: argparse.Namespace) -> None:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Return the curves as JSON prints them."""
-    from trabecula.measure import drainage, imbibition
+    from trabecula.measure import drainage, imbibition, relative_permeability
+    from trabecula.measure.relative_permeability import SATURATIONS
 
     image = shared.load_exemplar(options.file, options)
     inlet: Any = "all"
+    axis = -1
     if options.drainage != "all":
         axis = "zyx"[-image.ndim :].find(options.drainage)
         if axis < 0:
@@ -83,7 +101,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     if options.contact_angle:
         given["contact_angle"] = shared.number(options.contact_angle, name="--contact-angle")
     out, back = drainage(image, **given), imbibition(image, **given)
-    return {
+    found = {
         "shape": list(image.shape),
         "spacing": list(image.spacing),
         "unit": image.unit,
@@ -92,6 +110,21 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "drainage": _to_json(out),
         "imbibition": _to_json(back),
     }
+    if options.relative_permeability is not None:
+        words = options.relative_permeability or SATURATIONS
+        wanted = [shared.number(str(word), name="--relative-permeability") for word in words]
+        found["relative_permeability"] = {
+            process: relative_permeability(
+                image,
+                axis=axis,
+                phase=options.phase,
+                saturations=wanted,
+                process=process,
+                trapping=options.trapping,
+            ).to_json()
+            for process in ("drainage", "imbibition")
+        }
+    return found
 
 
 def _to_json(found: Any) -> dict[str, Any]:
@@ -106,9 +139,10 @@ def _to_json(found: Any) -> dict[str, Any]:
 
 def show(found: dict[str, Any]) -> None:
     """Print the figures, and a few rows of each curve."""
-    apart = ("drainage", "imbibition")
+    curves = ("drainage", "imbibition")
+    apart = (*curves, "relative_permeability")
     terminal.show_mapping({name: value for name, value in found.items() if name not in apart})
-    for name in apart:
+    for name in curves:
         curve = found[name]
         print()
         print(f"{name}: trapped {terminal.brief(curve['trapped'])} of the phase")
@@ -123,4 +157,12 @@ def show(found: dict[str, Any]) -> None:
             if pressures:
                 cells.append(pressures[at])
             rows.append(tuple(map(terminal.brief, cells)))
+        terminal.show_rows(rows)
+    for name, flow in found.get("relative_permeability", {}).items():
+        print()
+        print(f"relative permeability, {name}: of {terminal.brief(flow['permeability'])}")
+        rows = [("radius", "saturation", "non-wetting", "wetting", "")]
+        columns = (flow["radii"], flow["saturation"], flow["nonwetting"], flow["wetting"])
+        for *cells, sure in zip(*columns, flow["converged"], strict=True):
+            rows.append((*map(terminal.brief, cells), "" if sure else "not converged"))
         terminal.show_rows(rows)

@@ -5,6 +5,9 @@
 # Imported plainly, not lazily: several functions bear their module's name, and whichever of the two
 # is set last wins.
 from trabecula.measure.blockwise import describe_slabs
+from trabecula.measure.bodies import Bodies, bodies
+from trabecula.measure.bone import bone_figures, structure_model_index
+from trabecula.measure.coating import Coating, coating
 from trabecula.measure.components import (
     component_distance,
     component_sizes,
@@ -37,9 +40,9 @@ from trabecula.measure.correlation import (
 from trabecula.measure.describe import describe, describe_texture
 from trabecula.measure.displacement import Displacement
 from trabecula.measure.distance import distance_transform, signed_distance
-from trabecula.measure.drainage import drainage
+from trabecula.measure.drainage import drainage, entry_radius
 from trabecula.measure.each_phase import describe_phases
-from trabecula.measure.effective_properties import describe_physics
+from trabecula.measure.effective_properties import describe_network, describe_physics
 from trabecula.measure.evenness import Evenness, evenness
 from trabecula.measure.fabric import anisotropy, fabric
 from trabecula.measure.fractions import porosity, specific_surface, volume_fractions
@@ -49,9 +52,21 @@ from trabecula.measure.mean_variance import SpatialCovariance, variance_of_means
 from trabecula.measure.mechanics import Stiffness, stiffness
 from trabecula.measure.minkowski import Minkowski, euler, euler_density, mean_curvature, minkowski
 from trabecula.measure.morphometry import connectivity_density, morphometry
+from trabecula.measure.network import (
+    PoreNetwork,
+    Throats,
+    coordination,
+    network,
+    throat_radius,
+)
 from trabecula.measure.orientation import orientation, structure_tensor
 from trabecula.measure.percolation import percolates, percolating_fraction
 from trabecula.measure.phase_lists import phase_curves, phase_numbers
+from trabecula.measure.plates import PlatesAndRods, plates_and_rods
+from trabecula.measure.relative_permeability import (
+    RelativePermeability,
+    relative_permeability,
+)
 from trabecula.measure.skeleton import SkeletonGraph, skeleton_graph, thin
 from trabecula.measure.thickness import chord_length, local_thickness, pore_size, thickness
 from trabecula.measure.transport import (
@@ -69,20 +84,29 @@ from trabecula.measure.triple_lines import (
 )
 
 __all__ = [
+    "Bodies",
+    "Coating",
     "Displacement",
     "Effective",
     "Evenness",
     "Interval",
     "Minkowski",
+    "PlatesAndRods",
+    "PoreNetwork",
+    "RelativePermeability",
     "SkeletonGraph",
     "SpatialCovariance",
     "Stiffness",
+    "Throats",
     "TripleLine",
     "TurnedCopies",
     "anisotropy",
     "autocorrelation",
     "axis_preference",
+    "bodies",
+    "bone_figures",
     "chord_length",
+    "coating",
     "coherence",
     "coherent_patches",
     "component_distance",
@@ -93,10 +117,12 @@ __all__ = [
     "connectivity_density",
     "contact",
     "contacts",
+    "coordination",
     "correlation_length",
     "covariance_form",
     "cross_correlation",
     "describe",
+    "describe_network",
     "describe_phases",
     "describe_physics",
     "describe_slabs",
@@ -105,6 +131,7 @@ __all__ = [
     "distance_transform",
     "diversity",
     "drainage",
+    "entry_radius",
     "euler",
     "euler_density",
     "evenness",
@@ -121,24 +148,29 @@ __all__ = [
     "mean_curvature",
     "minkowski",
     "morphometry",
+    "network",
     "orientation",
     "percolates",
     "percolating_fraction",
     "permeability",
     "phase_curves",
     "phase_numbers",
+    "plates_and_rods",
     "pore_size",
     "porosity",
+    "relative_permeability",
     "signed_distance",
     "size_distribution",
     "skeleton_graph",
     "sources",
     "specific_surface",
     "stiffness",
+    "structure_model_index",
     "structure_tensor",
     "ten_bins",
     "thickness",
     "thin",
+    "throat_radius",
     "tortuosity",
     "triple_phase_active_share",
     "triple_phase_line_density",

@@ -110,7 +110,7 @@ def surface_table(spacing: tuple[float, ...], *, flat: bool) -> np.ndarray:
             groups.setdefault(tuple(step), []).append((i, j))
     steps = np.array(list(groups)) * np.array(spacing)
     lengths = np.linalg.norm(steps, axis=1)
-    share = _direction_shares(steps / lengths[:, None], flat)
+    share = direction_shares(steps / lengths[:, None], flat)
     corner = bits()
     crossings = [
         np.mean([corner[:, i] != corner[:, j] for i, j in pairs], axis=0)
@@ -119,7 +119,7 @@ def surface_table(spacing: tuple[float, ...], *, flat: bool) -> np.ndarray:
     return (share / lengths) @ np.array(crossings) * (np.pi / 2 if flat else 2.0)
 
 
-def _direction_shares(directions: np.ndarray, flat: bool) -> np.ndarray:
+def direction_shares(directions: np.ndarray, flat: bool) -> np.ndarray:
     """Return the share of the sphere (circle) that is nearer to each +-direction than to the
     others, by a regular sample of it.
     """

@@ -20,9 +20,8 @@ from trabecula.core.checks import as_number, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.io.units import to_metres
-from trabecula.measure.distance import distance_transform
 from trabecula.measure.phases import as_axis, as_connectivity, as_periodic, indicator
-from trabecula.measure.spheres import paint_largest
+from trabecula.measure.spheres import Spheres, inscribed_spheres, paint_largest
 
 Face = tuple[int, int]
 """Axis and side: 0 the first layer along it, -1 the last."""
@@ -107,11 +106,7 @@ class Pores:
 
     def spheres(self, region: np.ndarray) -> Spheres:
         """Return the largest ball in `region`, (Z, Y, X) bool, about each of its voxels."""
-        radius = distance_transform(region, spacing=self.steps.tolist(), periodic=self.wraps)
-        if bool((self.steps == 1).all()):  # squares are whole numbers: no need to sort
-            top = int(np.rint(np.float64(radius.max()) ** 2))
-            return Spheres(radius, np.sqrt(np.arange(top + 1, dtype=np.float32)), whole=True)
-        return Spheres(radius, np.unique(np.append(radius[region], np.float32(0))), whole=False)
+        return inscribed_spheres(region, self.steps, self.wraps)
 
     def radii(self, spheres: Spheres) -> np.ndarray:
         """Return the radius of every rank in the image's unit, float32; 0 for rank 0."""
@@ -122,26 +117,6 @@ class Pores:
         if not radius.any():
             return np.zeros(radius.shape, np.int32)
         return spheres.rank(paint_largest(radius, self.steps, self.wraps) / np.float32(2))
-
-
-@dataclass(frozen=True)
-class Spheres:
-    """Radii of balls and their ranks: which of the radii that occur, from the smallest up."""
-
-    radius: np.ndarray
-    levels: np.ndarray
-    whole: bool
-
-    @property
-    def top(self) -> int:
-        """Return the largest rank."""
-        return len(self.levels) - 1
-
-    def rank(self, radius: np.ndarray) -> np.ndarray:
-        """Return the ranks of radii that occur, int32."""
-        if self.whole:
-            return np.rint(radius * radius).astype(np.int32)
-        return np.searchsorted(self.levels, radius).astype(np.int32)
 
 
 def find_pores(

@@ -32,6 +32,8 @@ from trabecula.measure.displacement import (
     find_pores,
 )
 from trabecula.measure.flooding import widest_paths
+from trabecula.measure.phases import as_connectivity, indicator
+from trabecula.measure.spheres import inscribed_spheres
 
 
 def drainage(
@@ -124,6 +126,59 @@ def drainage(
         lost.reshape(shape),
         entry,
     )
+
+
+def entry_radius(
+    image: Image | ArrayLike, *, phase: str | int | None = None
+) -> dict[str, float | None]:
+    """Return, for every axis, the radius of the largest ball that passes through a phase from end
+    face to end face, in the image's unit: where drainage along that axis breaks through.
+
+    See `drainage` for the definition; here nothing but the widest path is sought, in a tenth of
+    the time.
+
+    Parameters
+    ----------
+    image : Image or array of labels, (Z, Y, X) or (Y, X)
+    phase : str or int, optional
+        Default: "void".
+
+    Returns
+    -------
+    radii : dict
+        By axis; 0.0 where the phase does not percolate.
+
+    Raises
+    ------
+    InputError
+        No such phase, or one that fills the image.
+
+    Examples
+    --------
+    >>> entry_radius(np.pad(np.zeros((3, 4), int), ((0, 0), (1, 1)), constant_values=1))
+    {'y': 2.0, 'x': 0.0}
+    """
+    image, inside = indicator(image, phase, default="void")
+    if inside.all():
+        raise InputError(
+            "the phase fills the whole image: its balls have no bound; choose another one"
+        )
+    steps = np.array(image.spacing) / min(image.spacing)
+    lift = 3 - image.ndim
+    lifted = np.ascontiguousarray(inside.reshape((1,) * lift + image.shape))
+    wraps = (False,) * 3
+    spheres = inscribed_spheres(lifted, np.array([steps.max()] * lift + steps.tolist()), wraps)
+    rank = spheres.rank(spheres.radius)
+    connectivity = as_connectivity(None, image.ndim)
+    found: dict[str, float | None] = {}
+    for axis, name in enumerate("zyx"[lift:], lift):
+        start = np.zeros(lifted.shape, bool)
+        np.moveaxis(start, axis, 0)[0] = True
+        best = widest_paths(
+            rank, start, top=spheres.top, connectivity=connectivity, wraps=wraps
+        ).take(-1, axis=axis)
+        found[name] = float(spheres.levels[best.max()]) * min(image.spacing)
+    return found
 
 
 def _trapped(pores: Pores, rank: np.ndarray, outlet: np.ndarray, *, top: int) -> np.ndarray:

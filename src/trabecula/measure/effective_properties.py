@@ -1,4 +1,4 @@
-"""Transport and stiffness at once, along every axis, with notes on how far the figures can be
+"""Transport, stiffness and the pore network at once, with notes on how far the figures can be
 trusted.
 """
 
@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core import progress
@@ -16,14 +17,26 @@ from trabecula.core.image import Image, as_image, check_labels
 from trabecula.engine.memory import available_memory
 from trabecula.engine.parallel import for_slabs, thread_count, threads
 from trabecula.measure.centre_crop import box_sides, centre, check_memory
+from trabecula.measure.drainage import entry_radius
 from trabecula.measure.mechanics import Stiffness, homogenise, stiffness
+from trabecula.measure.network import network
 from trabecula.measure.percolation import AXES
 from trabecula.measure.phases import indicator
 from trabecula.measure.transport import Effective, conductivity, diffusivity, permeability, section
 from trabecula.measure.transport.conduction import CONDUCTION_BYTES
 from trabecula.measure.transport.permeability import FLOW_BYTES
 
-PHYSICS = ("diffusivity", "tortuosity", "conductivity", "permeability", "stiffness", "physics")
+NETWORK = ("entry_radius", "coordination", "throat_radius")
+"""What `describe_network` finds, by name."""
+PHYSICS = (
+    "diffusivity",
+    "tortuosity",
+    "conductivity",
+    "permeability",
+    "stiffness",
+    *NETWORK,
+    "physics",
+)
 """What `describe_physics` finds, by name."""
 
 
@@ -34,7 +47,8 @@ def describe_physics(
     halving: bool = False,
     tolerance: float | None = None,
 ) -> dict[str, Any]:
-    """Transport through the void and the solid along every axis, and the solid's stiffness.
+    """Transport through the void and the solid along every axis, the solid's stiffness, and the
+    network of pores.
 
     `diffusivity` is relative to the free one, `conductivity` to the solid's own, Young's moduli in
     `stiffness` to the solid's own; `permeability` is in the square of the image's unit. 0 along an
@@ -55,7 +69,8 @@ def describe_physics(
     -------
     found : dict
         `diffusivity`, `tortuosity`, `conductivity` and `permeability` by axis; `stiffness` with its
-        `matrix` (6, 6) and `moduli`; and `physics`, which gives of each `converged`, `imbalance`,
+        `matrix` (6, 6) and `moduli`; `entry_radius` by axis, `coordination` and `throat_radius`
+        (`describe_network`); and `physics`, which gives of each `converged`, `imbalance`,
         `iterations` and `halving`. Definitions and sources are those of the functions of these
         names.
 
@@ -96,7 +111,44 @@ def describe_physics(
             for_slabs(partial(solve, first), min(count, len(jobs) - first), least=1)
     for _ in progress.track([None], "stiffness"):
         solid = stiffness(image, **settings)
-    return _plain(results, solid)
+    for _ in progress.track([None], "pore network"):
+        pores = describe_network(image, box=box)
+    return _plain(results, solid) | pores
+
+
+def describe_network(image: Image | ArrayLike, *, box: int | None = None) -> dict[str, Any]:
+    """Return figures of the network of pores: `entry_radius` by axis (the largest ball that passes
+    through the void), `coordination` (mean number of throats of a pore that no face cuts) and
+    `throat_radius` (mean over throats).
+
+    None where there are none: the void is empty or fills the image, no pore is whole, or nothing is
+    a throat.
+
+    Parameters
+    ----------
+    image : Image or array of labels, (Z, Y, X)
+    box : int, optional
+        Edge of the centre box, voxels. Default: the whole image.
+
+    Raises
+    ------
+    InputError
+        Not labels, no phase named "void", a 2-D image, or a box that is none.
+    """
+    image, void = indicator(image, None, default="void")
+    values = centre(void, box_sides(box, image.shape))
+    if not values.any() or values.all() or min(values.shape) < 2:
+        return dict.fromkeys(NETWORK)
+    part = Image(
+        (~values).astype(np.uint8), "labels", image.spacing, image.unit, phases=("void", "solid")
+    )
+    net = network(part)
+    whole = net.coordination[net.inside]
+    return {
+        "entry_radius": entry_radius(part),
+        "coordination": float(whole.mean()) if len(whole) else None,
+        "throat_radius": float(net.throats.radius.mean()) if len(net.throats) else None,
+    }
 
 
 def physics_notes(found: Mapping[str, Any]) -> list[str]:

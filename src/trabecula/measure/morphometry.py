@@ -156,7 +156,7 @@ def _sphere_figures(
     separation = _mean(sphere_diameters(marrow, region, spacing, wraps, what="marrow"), marrow)
     if fast:
         return {"Tb.Th": thickness, "Tb.Sp": separation, "Tb.N": 1 / (thickness + separation)}
-    rest = ~_mid_axis(bone, region, diameter, spacing, wraps)
+    rest = ~mid_axis(bone, region, spacing, wraps, diameter)[0]
     if region is not None:
         rest &= region
     edge = min(spacing)
@@ -167,19 +167,24 @@ def _sphere_figures(
     return {"Tb.Th": thickness, "Tb.Sp": separation, "Tb.N": 1 / distance}
 
 
-def _mid_axis(
-    bone: np.ndarray,
+def mid_axis(
+    inside: np.ndarray,
     region: np.ndarray | None,
-    diameter: np.ndarray,
     spacing: tuple[float, ...],
     wraps: tuple[bool, ...],
-) -> np.ndarray:
-    """Return the voxels of the bone that no sphere larger than their own holds."""
+    diameter: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the voxels of a phase that no sphere larger than their own holds, and the distance of
+    every voxel to the rest; `diameter` are its `sphere_diameters` where they are known.
+    """
     own = distance_transform(
-        bone if region is None else bone | ~region, spacing=spacing, periodic=wraps
+        inside if region is None else inside | ~region, spacing=spacing, periodic=wraps
     )
+    if diameter is None:
+        diameter = sphere_diameters(inside, region, spacing, wraps, what="phase")
     # `diameter` is less half an edge, and float32 keeps seven digits.
-    return bone & (2 * own >= (diameter + np.float32(min(spacing) / 2)) * np.float32(1 - 1e-5))
+    largest = (diameter + np.float32(min(spacing) / 2)) * np.float32(1 - 1e-5)
+    return inside & (2 * own >= largest), own
 
 
 def _mean(diameter: np.ndarray, inside: np.ndarray) -> float:

@@ -23,6 +23,7 @@ from trabecula.measure.correlation import (
     two_point,
     two_point_cluster,
 )
+from trabecula.measure.drainage import entry_radius
 from trabecula.measure.fabric import anisotropy
 from trabecula.measure.fractions import porosity, specific_surface, volume_fractions
 from trabecula.measure.grey import autocorrelation, histogram, ten_bins
@@ -39,6 +40,7 @@ from trabecula.measure.local_fields import (
 from trabecula.measure.mechanics import stiffness
 from trabecula.measure.minkowski import euler, euler_density, mean_curvature
 from trabecula.measure.morphometry import morphometry
+from trabecula.measure.network import coordination, throat_radius
 from trabecula.measure.orientation import orientation
 from trabecula.measure.percolation import percolates, percolating_fraction
 from trabecula.measure.thickness import chord_length, pore_size, thickness
@@ -77,7 +79,7 @@ SIZES = "sizes"
 CURVES = "curves"
 """Functions of the distance."""
 PHYSICS = "physics"
-"""The solvers of transport and stiffness."""
+"""The solvers of transport and stiffness, and the network of pores."""
 PHASES = "phases"
 """Single phases, pairs and triples, which share components and configurations."""
 GREYS = "greys"
@@ -174,6 +176,9 @@ _connectivity = partial(Descriptor, group="connectivity")
 _solid = partial(Descriptor, group="connectivity", of="the solid", source=PLANES, streams=True)
 _physics = partial(
     Descriptor, group="physics", source=PHYSICS, level="full", by_axis=True, in_volume=True
+)
+_network = partial(
+    Descriptor, group="connectivity", source=PHYSICS, level="full", in_slices=False, in_volume=True
 )
 _texture = partial(Descriptor, group="texture", kinds=TEXTURE, source=JUDGED)
 
@@ -463,6 +468,20 @@ _TABLE = (
         name="stiffness", title="Young's modulus over the solid's own", measure=stiffness,
         share=True, key=True,
         meaning="Apparent Young's modulus over the solid's own.",
+    ),
+    _physics(
+        name="entry_radius", title="Drainage: radius at breakthrough", measure=entry_radius,
+        power=1,
+        meaning="Radius of the largest ball that passes through the void from end to end: where a "
+        "non-wetting fluid breaks through.",
+    ),
+    _network(
+        name="coordination", title="Coordination of pores", measure=coordination,
+        meaning="Mean number of throats of a pore, of pores that no face of the image cuts.",
+    ),
+    _network(
+        name="throat_radius", title="Throat radius", measure=throat_radius, power=1, of="the void",
+        meaning="Mean radius of the largest balls centred on the throats between pores.",
     ),
     Descriptor(
         name="physics", title="Convergence of the solvers", source=PHYSICS, level="full",

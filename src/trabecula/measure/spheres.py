@@ -7,12 +7,14 @@ costs a quarter of its rows.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
+from trabecula.measure.distance import distance_transform
 
 # Neighbours in the margined array, nearest first: they are the likeliest to hold the sphere. The
 # last number is the row of `_containment`.
@@ -27,6 +29,37 @@ _LONGEST, _LARGEST = 2048.0, 2.0**24
 """Radius, and voxels in an eighth of a sphere, that `_containment` covers at most: half a GiB while
 it is made.
 """
+
+
+@dataclass(frozen=True)
+class Spheres:
+    """Radii of balls and their ranks: which of the radii that occur, from the smallest up."""
+
+    radius: np.ndarray
+    levels: np.ndarray
+    whole: bool
+
+    @property
+    def top(self) -> int:
+        """Return the largest rank."""
+        return len(self.levels) - 1
+
+    def rank(self, radius: np.ndarray) -> np.ndarray:
+        """Return the ranks of radii that occur, int32."""
+        if self.whole:
+            return np.rint(radius * radius).astype(np.int32)
+        return np.searchsorted(self.levels, radius).astype(np.int32)
+
+
+def inscribed_spheres(region: np.ndarray, steps: np.ndarray, wraps: tuple[bool, ...]) -> Spheres:
+    """Return the largest ball in a region, (Z, Y, X) bool, about each of its voxels; `steps` are
+    the edges of a voxel in units of the smallest.
+    """
+    radius = distance_transform(region, spacing=steps.tolist(), periodic=wraps)
+    if bool((steps == 1).all()):  # squares are whole numbers: no need to sort
+        top = int(np.rint(np.float64(radius.max()) ** 2))
+        return Spheres(radius, np.sqrt(np.arange(top + 1, dtype=np.float32)), whole=True)
+    return Spheres(radius, np.unique(np.append(radius[region], np.float32(0))), whole=False)
 
 
 def paint_largest(radius: np.ndarray, spacing: np.ndarray, wraps: tuple[bool, ...]) -> np.ndarray:

@@ -321,7 +321,9 @@ def flat_numbers(
         if one.by_axis and one.rule != AXES:
             by_axis[one.name] = numbers.pop(one.name, None)
     for name, axes in by_axis.items():
-        if axes:
+        if isinstance(axes, float):
+            numbers[name] = axes
+        elif axes:
             axes = axes["moduli"] if name == "stiffness" else axes
             numbers[name] = float(np.mean(list(axes.values())))
             numbers |= {f"{name}_{axis}": value for axis, value in axes.items()}
