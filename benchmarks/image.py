@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import trabecula as tb
-from common import SCANS, busy, pictures, table
+from common import SCANS, asked, busy, pictures, table
 from trabecula.core.checks import check_name
 from trabecula.core.errors import TrabeculaError
 from trabecula.measure.correlation import covariance_form, two_point
@@ -86,15 +86,6 @@ class Likeness:
             "-" if value is None else f"{value:.3f}" for value in (self.covariance, self.preference)
         ]
         return [f"{value:.4f}" for value in self.three] + more
-
-
-def asked(name: str) -> list[str]:
-    """The words that an option of `trabecula bench` gave, none where it was not given."""
-    return [
-        word.strip()
-        for word in os.environ.get(f"TRABECULA_BENCH_{name}", "").split(";")
-        if word.strip()
-    ]
 
 
 def side_of(default: int) -> int:

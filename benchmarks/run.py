@@ -36,6 +36,7 @@ import image_truth
 import intervals
 import noise
 import novelty_blind
+import papers
 import printing
 import texture
 import texture_speed
@@ -113,6 +114,7 @@ CASES: dict[str, Callable[[], None]] = {
     "big_workers": big.big_workers,
     "big_scaling": big_scaling.big_scaling,
     "big_whole": big_whole.big_whole,
+    "papers": papers.papers,
     "view_still": view.view_still,
     "view_page": view.view_page,
     "surfaces": printing.surfaces,
