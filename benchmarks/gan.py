@@ -50,7 +50,7 @@ def models() -> None:
             lambda m=model: [m.generate(SIDE, seed=seed) for seed in range(SAMPLES)]
         )
         tell(f"\n{name}", f"{SAMPLES} samples of {SIDE}^3", f"{seconds / SAMPLES:.2f} s each")
-        _certified(scan, samples)
+        _certified(name, scan, samples)
         if scan.kind == "labels":
             found, apart = tb.measure.diversity(samples[:4]), ~np.eye(4, dtype=bool)
             tell(
@@ -73,17 +73,13 @@ def models() -> None:
 
 def speed() -> None:
     """Return the processor seconds of a shipped model for 120^3, 200^3 and 420^3, one thread."""
+    row = table("model, side", "s", "ns a voxel")
     for name in shipped_models():
         model = tb.load_model(name)
         model.generate(64, seed=0)
         for side in (SIDE, 200, 420):
             seconds, made = busy(lambda m=model, n=side: m.generate(n, seed=1))
-            tell(
-                name,
-                f"{side}^3",
-                f"{seconds:.2f} s",
-                f"{1e9 * seconds / made.values.size:.0f} ns a voxel",
-            )
+            row(f"{name}, {side}^3", f"{seconds:.2f}", f"{1e9 * seconds / made.values.size:.0f}")
 
 
 def smoke() -> None:
@@ -98,9 +94,9 @@ def smoke() -> None:
         tell(reading, f"{seconds / 200:.2f} s an iteration", model.history["figures"])
 
 
-def _certified(scan: tb.Image, samples: Sequence[tb.Image]) -> None:
+def _certified(name: str, scan: tb.Image, samples: Sequence[tb.Image]) -> None:
     certificates = tb.verify(scan, *samples)
-    row = table("figure", "exemplar", "band", "mean", "least", "most", "passed", wide=22)
+    row = table(f"figure of {name}", "exemplar", "band", "mean", "least", "most", "passed", wide=22)
     for key, metric in certificates[0].metrics.items():
         values = [one.metrics[key].value for one in certificates]
         if not all(isinstance(value, (int, float, np.number)) for value in values):

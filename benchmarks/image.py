@@ -9,7 +9,6 @@ bench`, or TRABECULA_BENCH_ONLY, _METHODS and _SIDE, whose words are parted by s
 from __future__ import annotations
 
 import math
-import os
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

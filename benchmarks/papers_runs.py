@@ -2,19 +2,66 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 
 import bubbles
+import by_example
+import gan
+import gan_ablation
 import graded
+import image
+import image_figures
 import image_paper
 import texture
+import texture_figures
+
+LABEL_PICTURES = "sandstone;ceramics;copolymer;composite;sofc;rods;speckles;separator pair"
+GREY_PICTURES = "gravel;brick;grey sandstone;bread 2;bread 8"
+
+
+def _part(case: Callable[[], None], **options: str) -> Callable[[], None]:
+    """A case with options of `trabecula bench` that choose a part of it."""
+
+    def run() -> None:
+        named = {f"TRABECULA_BENCH_{name}": value for name, value in options.items()}
+        before = {name: os.environ.get(name) for name in named}
+        os.environ.update(named)
+        try:
+            case()
+        finally:
+            for name, value in before.items():
+                os.environ.pop(name)
+                if value is not None:
+                    os.environ[name] = value
+
+    return run
+
 
 RUNS: dict[str, Callable[[], None]] = {
+    "by_example_2017": by_example.by_example_2017,
+    "weights": texture_figures.texture_weights,
     "repeat": texture.repeat,
+    "repeat_paper": texture.repeat_paper,
+    "histogram": texture_figures.texture_histogram,
+    "by_example_2021": by_example.by_example_2021,
+    "materials": by_example.by_example_materials,
+    "gan_models": _part(gan.models, MODELS="bone berea nmc"),
+    "gan_speed": gan.speed,
+    "ablation": gan_ablation.ablation,
+    "heuristics": image_paper.image_paper,
+    "cooling": image_figures.image_cooling,
+    "upsampling": image_figures.image_upsampling,
+    "relaxations": image_figures.image_relaxations,
+    "colour": image_figures.image_colour,
+    "indicators": _part(image.image_likeness, ONLY=LABEL_PICTURES, METHODS="mrf;kopf", SIDE="64"),
+    "indicators_grey": _part(
+        image.image_likeness, ONLY=GREY_PICTURES, METHODS="mrf;kopf", SIDE="32"
+    ),
+    "views": image_figures.image_views,
+    "section": graded.graded_section,
     "lattice": graded.graded_lattice,
     "cells": graded.graded_cells,
-    "section": graded.graded_section,
-    "heuristics": image_paper.image_paper,
     "bubbles": bubbles.bubbles_table,
 }
 """Name of a run to what it prints; the name of its file, and a word for `--run`."""
