@@ -53,21 +53,19 @@ def models() -> None:
         _certified(name, scan, samples)
         if scan.kind == "labels":
             found, apart = tb.measure.diversity(samples[:4]), ~np.eye(4, dtype=bool)
-            tell(
-                "diversity",
-                f"distance {found.distance[apart].min():.3f}",
-                f"copied {found.coherence[apart].max():.3f}",
+            row = table(f"diversity of {name}", "least distance", "most copied")
+            row(
+                "four samples",
+                f"{found.distance[apart].min():.3f}",
+                f"{found.coherence[apart].max():.3f}",
             )
+            row = table(f"permeability of {name}", *"zyx")
             for what, image in (
                 ("exemplar", scan),
                 *((f"seed {i}", sample) for i, sample in enumerate(samples[:3])),
             ):
                 physics = tb.measure.describe_physics(image, box=BOX)
-                tell(
-                    what,
-                    "permeability",
-                    {axis: f"{value:.4g}" for axis, value in physics["permeability"].items()},
-                )
+                row(what, *(f"{physics['permeability'][axis]:.4g}" for axis in "zyx"))
         _drawn(name, scan, samples)
 
 
