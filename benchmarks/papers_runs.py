@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 
 import bubbles
+import bubbles_figures
 import by_example
 import gan
 import gan_ablation
@@ -13,6 +14,7 @@ import graded
 import image
 import image_figures
 import image_paper
+import papers_pictures
 import texture
 import texture_figures
 
@@ -43,6 +45,7 @@ RUNS: dict[str, Callable[[], None]] = {
     "weights": texture_figures.texture_weights,
     "repeat": texture.repeat,
     "repeat_paper": texture.repeat_paper,
+    "stills": papers_pictures.stills,
     "histogram": texture_figures.texture_histogram,
     "by_example_2021": by_example.by_example_2021,
     "materials": by_example.by_example_materials,
@@ -63,5 +66,7 @@ RUNS: dict[str, Callable[[], None]] = {
     "lattice": graded.graded_lattice,
     "cells": graded.graded_cells,
     "bubbles": bubbles.bubbles_table,
+    "bubble_figures": bubbles_figures.bubbles_figures,
+    "bubble_stills": papers_pictures.bubble_stills,
 }
 """Name of a run to what it prints; the name of its file, and a word for `--run`."""
