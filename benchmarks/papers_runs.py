@@ -19,7 +19,7 @@ import texture
 import texture_figures
 
 LABEL_PICTURES = "sandstone;ceramics;copolymer;composite;sofc;rods;speckles;separator pair"
-GREY_PICTURES = "gravel;brick;grey sandstone;bread 2;bread 8"
+GREY_PICTURES = "gravel;brick;bread 2"
 
 
 def _part(case: Callable[[], None], **options: str) -> Callable[[], None]:
@@ -51,8 +51,8 @@ RUNS: dict[str, Callable[[], None]] = {
     "materials": by_example.by_example_materials,
     "gan_models": _part(gan.models, MODELS="bone berea nmc"),
     "gan_speed": gan.speed,
-    "ablation": gan_ablation.ablation,
-    "heuristics": image_paper.image_paper,
+    "ablation": _part(gan_ablation.ablation, ONLY="bone", ITERATIONS="400"),
+    "heuristics": _part(image_paper.image_paper, ONLY="ceramics;composite;gravel"),
     "cooling": image_figures.image_cooling,
     "upsampling": image_figures.image_upsampling,
     "relaxations": image_figures.image_relaxations,

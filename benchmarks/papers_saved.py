@@ -44,15 +44,17 @@ class Saved:
     """Of the processor, and on the wall."""
     tables: tuple[Table, ...]
 
-    def cell(self, row: str, head: str, *, table: int = 0) -> str:
-        """Return a cell by the name of its row and the head of its column.
+    def cell(self, row: str, head: str, *, table: str = "") -> str:
+        """Return a cell by the name of its row and the head of its column; of several tables, of
+        that whose first head is `table`.
 
         Raises
         ------
         InputError
             There is no such cell.
         """
-        found = self.tables[table]
+        tables = [one for one in self.tables if not table or one.heads[0] == table]
+        found = tables[0] if tables else Table([])
         rows = [cells for cells in found.rows if cells[0] == row]
         if len(rows) != 1 or head not in found.heads:
             raise InputError(f"run {self.name!r} has no cell {row!r}, {head!r}: run it again")
