@@ -15,6 +15,11 @@ import numpy as np
 
 SCANS = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
+LEVEL = 0.002
+"""Indicators of pictures that differ by less are level: where a histogram is matched exactly,
+digits behind that are rounding.
+"""
+
 
 @dataclass
 class Table:

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import trabecula as tb
-from common import SCANS, asked, busy, pictures, table
+from common import LEVEL, SCANS, asked, busy, pictures, table
 from trabecula.core.checks import check_name
 from trabecula.core.errors import TrabeculaError
 from trabecula.measure.correlation import covariance_form, two_point
@@ -29,10 +29,6 @@ from trabecula.synth.api.registry import methods
 
 LAGS = 32
 REACH = 40
-LEVEL = 0.002
-"""Figures that differ by less are level: where a histogram is matched exactly, digits behind that
-are rounding.
-"""
 
 CROP = 192
 """Pixels a side of the centre of a picture that is learnt from."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from image import LEVEL
+from common import LEVEL
 from papers_rows import Row, Section, three
 from papers_saved import load
 
