@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,63 +21,125 @@ WIDE = 840
 
 COLOURS = 48
 
-KEPT: dict[str, dict[str, str]] = {
+
+@dataclass(frozen=True)
+class Sheet:
+    """A picture that is kept: the files that a run drew, beside one another, or blocks of one."""
+
+    files: tuple[str, ...]
+    blocks: tuple[int, ...] = ()
+    """Heights of the blocks that a tall sheet is cut into, pixels; the last one repeats."""
+    wide: int = 0
+    """Pixels that are kept of a block: its first panel. 0: all."""
+    columns: int = 4
+
+
+FIRST = {"blocks": (208, 316), "wide": 262}
+"""A `montage` of three slices a volume, the first of 60^3, the others of 120^3: the first slices.
+"""
+EQUAL = {"blocks": (328, 316), "wide": 262}
+"""The same where all are of 120^3."""
+
+KEPT: dict[str, dict[str, Sheet]] = {
     "by_example_2017": {
-        "by-example-2017-bone-a.png": "2017-bone",
-        "by-example-2017-sample-foam.png": "2017-foam",
+        "2017-bone": Sheet(("by-example-bone-a.png",), **FIRST),
+        "2017-foam": Sheet(("by-example-sample-foam.png",), **FIRST),
     },
-    "weights": {"texture-weights.png": "2017-weights"},
-    "stills": {"2017-stills.png": "2017-stills"},
-    "gan_models": {"gan-bone.png": "2021-bone", "gan-berea.png": "2021-berea"},
+    "weights": {"2017-weights": Sheet(("texture-weights.png",), **FIRST)},
+    "stills": {"2017-stills": Sheet(("2017-stills.png",))},
+    "gan_models": {
+        "2021-bone": Sheet(("gan-bone.png",), **EQUAL),
+        "2021-berea": Sheet(("gan-berea.png",), **EQUAL),
+    },
     "heuristics": {
-        "image-paper-ceramics.png": "2014-heuristics-ceramics",
-        "image-paper-gravel.png": "2014-heuristics-gravel",
+        "2014-heuristics-ceramics": Sheet(("image-paper-ceramics.png",)),
+        "2014-heuristics-gravel": Sheet(("image-paper-gravel.png",)),
     },
-    "upsampling": {"image-upsampling-ceramics.png": "2014-upsampling"},
-    "relaxations": {"image-relaxations-gravel.png": "2014-relaxations"},
-    "colour": {"image-colour.png": "2014-colour"},
+    "upsampling": {"2014-upsampling": Sheet(("image-upsampling-ceramics.png",))},
+    "relaxations": {"2014-relaxations": Sheet(("image-relaxations-gravel.png",))},
+    "colour": {"2014-colour": Sheet(("image-colour.png",))},
     "indicators": {
-        "image-sandstone.png": "2014-sandstone",
-        "image-copolymer.png": "2014-copolymer",
-        "image-composite.png": "2014-composite",
+        "2014-textures": Sheet(("image-sandstone.png", "image-copolymer.png")),
     },
-    "views": {"image-views.png": "2014-views"},
-    "section": {"graded-section.png": "liu-section"},
+    "views": {"2014-views": Sheet(("image-views.png",))},
+    "section": {"liu-section": Sheet(("graded-section.png",), blocks=(283, 277), columns=5)},
     "lattice": {
-        "graded-cantilever-no-turns.png": "liu-cantilever",
-        "graded-type-2-(frames)-no-turns.png": "liu-frames",
-        "graded-wheel-no-turns.png": "liu-wheel",
+        "liu-lattices": Sheet(
+            (
+                "graded-cantilever-no-turns.png",
+                "graded-type-2-(frames)-no-turns.png",
+                "graded-wheel-no-turns.png",
+            )
+        )
     },
     "bubble_figures": {
-        f"figure-{number}.png": f"baravalle-figure-{number}" for number in range(1, 8)
+        f"baravalle-figure-{number}": Sheet((f"figure-{number}.png",)) for number in (1, 2, 3, 5, 6)
     },
     "bubble_stills": {
-        "paper-breads.png": "baravalle-breads",
-        "paper-slices.png": "baravalle-slices",
-        "paper-materials.png": "baravalle-materials",
-        "paper-rivals.png": "baravalle-rivals",
+        f"baravalle-{name}": Sheet((f"paper-{name}.png",))
+        for name in ("breads", "slices", "materials", "rivals")
     },
 }
-"""Run to the pictures that it draws and that are kept: their files, and their names here."""
+"""Run to the pictures that are kept of it, by their names here. Figures 4 and 7 of Baravalle et al.
+are of a form whose terms keep them out of the repository.
+"""
 
 
-def keep(run: str, folder: Path) -> list[str]:
-    """Keep small versions of what a run drew into a folder; return their names."""
-    kept = []
-    for file, name in KEPT.get(run, {}).items():
-        if (folder / file).is_file():
+def keep(run: str, folder: Path) -> None:
+    """Keep small versions of what a run drew into a folder."""
+    for name, sheet in KEPT.get(run, {}).items():
+        found = [folder / file for file in sheet.files if (folder / file).is_file()]
+        if found:
             PICTURES.mkdir(parents=True, exist_ok=True)
-            _small(folder / file, PICTURES / f"{name}.png")
-            kept.append(name)
-    return kept
+            _small(_tiled(_beside(found), sheet), PICTURES / f"{name}.png")
 
 
-def _small(source: Path, target: Path) -> None:
-    with Pillow.open(source) as opened:
-        image = opened.convert("RGB")
-    scale = min(1.0, WIDE / image.width)
-    size = (round(image.width * scale), round(image.height * scale))
-    small = image.resize(size, Pillow.Resampling.LANCZOS) if scale < 1 else image
+def _beside(files: Sequence[Path]) -> Pillow.Image:
+    """Pictures beside one another, each as tall as the lowest."""
+    pictures = []
+    for file in files:
+        with Pillow.open(file) as opened:
+            pictures.append(opened.convert("RGB"))
+    tall = min(picture.height for picture in pictures)
+    scaled = [
+        picture.resize((round(picture.width * tall / picture.height), tall))
+        if picture.height > tall
+        else picture
+        for picture in pictures
+    ]
+    sheet = Pillow.new("RGB", (sum(picture.width for picture in scaled), tall))
+    left = 0
+    for picture in scaled:
+        sheet.paste(picture, (left, 0))
+        left += picture.width
+    return sheet
+
+
+def _tiled(picture: Pillow.Image, sheet: Sheet) -> Pillow.Image:
+    """The blocks of a tall sheet in rows."""
+    if not sheet.blocks:
+        return picture
+    wide, top, tiles = sheet.wide or picture.width, 0, []
+    while top < picture.height - 2 * _MARGIN:
+        tall = sheet.blocks[min(len(tiles), len(sheet.blocks) - 1)]
+        tiles.append(picture.crop((0, top, wide, min(top + tall, picture.height))))
+        top += tall
+    tall, corner = max(sheet.blocks), picture.getpixel((0, 0))
+    rows = -(-len(tiles) // sheet.columns)
+    whole = Pillow.new("RGB", (wide * min(sheet.columns, len(tiles)), tall * rows), corner)
+    for number, tile in enumerate(tiles):
+        row, column = divmod(number, sheet.columns)
+        whole.paste(tile, (column * wide, row * tall + tall - tile.height))
+    return whole
+
+
+_MARGIN = 20
+
+
+def _small(picture: Pillow.Image, target: Path) -> None:
+    scale = min(1.0, WIDE / picture.width)
+    size = (round(picture.width * scale), round(picture.height * scale))
+    small = picture.resize(size, Pillow.Resampling.LANCZOS) if scale < 1 else picture
     small.quantize(COLOURS, dither=Pillow.Dither.NONE).save(target, optimize=True)
 
 
