@@ -57,6 +57,8 @@ MAKERS: dict[str, tuple[Maker, Sequence[int]]] = {
     "texture, fast": (_made_by("texture", preset="fast"), (0, 1, 2)),
     "kopf, paper": (_made_by("kopf", preset="paper", slices=True), (0,)),
     "chen, paper": (_made_by("chen", preset="paper", slices=True), (0,)),
+    "kopf": (_made_by("kopf", slices=True), (0,)),
+    "chen": (_made_by("chen", slices=True), (0,)),
     "Gaussian field": (_made_by("noise", exact=True), (0, 1, 2)),
 }
 """Ways to make 120^3, each with its seeds; `kopf` and `chen` learn from the three middle slices."""

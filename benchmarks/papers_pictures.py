@@ -29,15 +29,15 @@ class Sheet:
     files: tuple[str, ...]
     blocks: tuple[int, ...] = ()
     """Heights of the blocks that a tall sheet is cut into, pixels; the last one repeats."""
-    wide: int = 0
-    """Pixels that are kept of a block: its first panel. 0: all."""
+    wide: tuple[int, ...] = ()
+    """Pixels that are kept of each block: its first panel; the last one repeats. None: all."""
     columns: int = 4
 
 
-FIRST = {"blocks": (208, 316), "wide": 262}
+FIRST = {"blocks": (208, 316), "wide": (176, 262)}
 """A `montage` of three slices a volume, the first of 60^3, the others of 120^3: the first slices.
 """
-EQUAL = {"blocks": (328, 316), "wide": 262}
+EQUAL = {"blocks": (328, 316), "wide": (262,)}
 """The same where all are of 120^3."""
 
 KEPT: dict[str, dict[str, Sheet]] = {
@@ -119,12 +119,12 @@ def _tiled(picture: Pillow.Image, sheet: Sheet) -> Pillow.Image:
     """The blocks of a tall sheet in rows."""
     if not sheet.blocks:
         return picture
-    wide, top, tiles = sheet.wide or picture.width, 0, []
+    top, tiles, widths = 0, [], sheet.wide or (picture.width,)
     while top < picture.height - 2 * _MARGIN:
-        tall = sheet.blocks[min(len(tiles), len(sheet.blocks) - 1)]
+        tall, wide = (each[min(len(tiles), len(each) - 1)] for each in (sheet.blocks, widths))
         tiles.append(picture.crop((0, top, wide, min(top + tall, picture.height))))
         top += tall
-    tall, corner = max(sheet.blocks), picture.getpixel((0, 0))
+    tall, wide, corner = max(sheet.blocks), max(widths), picture.getpixel((0, 0))
     rows = -(-len(tiles) // sheet.columns)
     whole = Pillow.new("RGB", (wide * min(sheet.columns, len(tiles)), tall * rows), corner)
     for number, tile in enumerate(tiles):
