@@ -16,6 +16,7 @@ import numpy as np
 
 import trabecula as tb
 from common import busy, pictures, table
+from curves import draw_curves
 from texture import wholes
 from trabecula.view.slices import montage
 
@@ -167,7 +168,13 @@ def compare(
                 f"{np.min(spent):.1f}",
             )
         if folder := pictures():
-            montage(list(shown.values()), list(shown), folder / f"by-example-{name}.png")
+            file = name.replace(" ", "-").replace(",", "")
+            montage(list(shown.values()), list(shown), folder / f"by-example-{file}.png")
+            curves = {
+                words: tb.measure.two_point(image, r_max=REACH) for words, image in shown.items()
+            }
+            path = folder / f"curves-{file}.png"
+            draw_curves(curves, path, along="r, voxels", up="S2 of the solid")
 
 
 def _cells(found: Sequence[Figures]) -> Iterator[str]:
