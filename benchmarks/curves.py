@@ -12,7 +12,8 @@ from PIL import ImageDraw
 from trabecula.view.picture import font
 
 WIDE, TALL, LEFT, BELOW, RIGHT = 760, 360, 56, 40, 190
-COLOURS = ("#000000", "#1f5fa8", "#c2512b", "#3b8a4e", "#8a4fa3", "#b58a1c", "#3aa0a8", "#888888")
+COLOURS = ("#000000", "#1f5fa8", "#c2512b", "#3b8a4e", "#8a4fa3")
+COLOURS += ("#b58a1c", "#3aa0a8", "#888888", "#d18fb0", "#7a5230")
 SCALE = 2
 """Drawn twice as large, so that lines are smooth once it is halved."""
 

@@ -33,6 +33,8 @@ OURS = {"Kopf": "kopf, paper", "Chen": "chen, paper", "Zhang 2017": "texture, pa
 BESIDE = {
     "texture": "`texture`, default",
     "texture, best": "`texture`, best (copies)",
+    "kopf": "`kopf`, default",
+    "chen": "`chen`, default",
     "Gaussian field": "thresholded Gaussian field",
 }
 ABLATION = {
