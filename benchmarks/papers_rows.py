@@ -18,7 +18,7 @@ HEADS = (
     "",
     "paper",
     "ours, like for like",
-    "",
+    "ours is",
     "ours, at its best",
     "others",
     "real, elsewhere",
@@ -131,8 +131,8 @@ def _without_empty(
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return a table in Markdown."""
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]).replace("|  |", "| |")
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join(" ".join(["|", *(f"{cell} |".lstrip() for cell in line)]) for line in lines)
 
 
 def spread(saved: Saved, row: str) -> str:

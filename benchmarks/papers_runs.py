@@ -43,6 +43,7 @@ def _part(case: Callable[[], None], **options: str) -> Callable[[], None]:
 RUNS: dict[str, Callable[[], None]] = {
     "by_example_2017": by_example.by_example_2017,
     "weights": texture_figures.texture_weights,
+    "iso_value": texture_figures.texture_iso_value,
     "repeat": texture.repeat,
     "repeat_paper": texture.repeat_paper,
     "stills": papers_pictures.stills,

@@ -88,6 +88,7 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_paper": texture.paper,
     "texture_repeat_paper": texture.repeat_paper,
     "texture_weights": texture_figures.texture_weights,
+    "texture_iso_value": texture_figures.texture_iso_value,
     "texture_histogram": texture_figures.texture_histogram,
     "by_example_2017": by_example.by_example_2017,
     "by_example_2021": by_example.by_example_2021,
