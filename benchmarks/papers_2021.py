@@ -159,7 +159,7 @@ def _shipped(saved: Saved, name: str) -> list[str]:
     return [
         f"{100 * value('porosity_error'):.2f}",
         f"{100 * value('two_point_relative'):.1f} ({least:.1f} - {most:.1f})",
-        f"{value('components'):.0f}/",
+        f"{value('components'):.0f}",
         f"{value('largest_fraction'):.3f}",
         load("gan_speed").cell(f"{name}, 120^3", "s"),
     ]
@@ -217,7 +217,7 @@ def _tables_2_and_3() -> Section:
         error, distance, counts, largest, seconds = _shipped(networks, name)
         own = networks.cell("components", "exemplar", table=f"figure of {name}")
         label = f"`gan`, shipped, {name}"
-        rows.append([label, error, distance, counts, f"{own}/", largest, "", seconds])
+        rows.append([label, error, distance, counts, own, largest, "", seconds])
     heads = ("", *SIDES[:3], "exemplar's", "largest", "others; real, elsewhere: D2", "s")
     runs = ["materials", "gan_models", "gan_speed"]
     return Section("2021 tables 2 and 3", runs, heads=heads, more=rows)
@@ -242,7 +242,7 @@ def _speed() -> Section:
         for head in ("least distance", "most copied")
     )
     rows = [
-        Row("training", then="14,400 (about 4 hours, GTX 1080)", now="720 to 1140, one core"),
+        Row("training", then="14,400 (about 4 hours, GTX 1080)", now="the models' cards"),
         Row("120^3 of bone", then="0.096", now=speed.cell("bone, 120^3", "s")),
         Row("420^3 of bone (figures 9, 10)", then="no figure", now=speed.cell("bone, 420^3", "s")),
         Row("figure 8: least share of voxels in which two samples differ", "to the eye", apart),
