@@ -99,7 +99,7 @@ PAPERS = (
                 "table 1",
                 "eight methods on bone and foam",
                 MEASURED,
-                ("by_example_2021", "ablation", "gan_models"),
+                ("by_example_2021", "by_example_2017", "ablation", "gan_models"),
                 "networks of full width: not measured, that needs a GPU",
             ),
             Item(
@@ -126,7 +126,7 @@ PAPERS = (
                 NOT_MEASURED,
                 note="full width needs a GPU; every training draws its own (`run=FOLDER`)",
             ),
-            Item("figure 6", "a foam from three sides", DRAWN, ("by_example_2021",)),
+            Item("figure 6", "a foam from three sides", DRAWN, ("stills",), "from one side"),
             Item("figure 7", "beside other methods", DRAWN, ("by_example_2021", "gan_models")),
             Item("figure 8", "three samples differ", MEASURED, ("gan_models",)),
             Item("figure 9", "420^3 of bones", MEASURED, ("gan_speed",)),
