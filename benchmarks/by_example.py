@@ -64,6 +64,11 @@ MAKERS: dict[str, tuple[Maker, Sequence[int]]] = {
 }
 """Ways to make 120^3, each with its seeds; `kopf` and `chen` learn from the three middle slices."""
 
+DEFAULTS: dict[str, tuple[Maker, Sequence[int]]] = {
+    "kopf": (_made_by("kopf", slices=True), (0,)),
+    "chen": (_made_by("chen", slices=True), (0,)),
+}
+
 FEWER = {
     "texture, paper": (0, 1),
     "texture": (0, 1),
