@@ -31,8 +31,6 @@ class Paper:
     method: str
     figures: int
     tables: int
-    machine: str
-    """What its seconds were taken on."""
     items: tuple[Item, ...]
 
 
@@ -43,7 +41,6 @@ PAPERS = (
         "texture",
         16,
         1,
-        "3.16 GHz, 8 GB, C++",
         (
             Item("section 5.1", "20 minutes for 120^3 from 60^3", MEASURED, ("weights",)),
             Item(
@@ -93,7 +90,6 @@ PAPERS = (
         "gan",
         15,
         3,
-        "i7-6700, GTX 1080; training about 4 hours",
         (
             Item(
                 "table 1",
@@ -160,7 +156,6 @@ PAPERS = (
         "mrf",
         12,
         0,
-        "2.7 GHz",
         (
             Item("section VI", "48 hours for 64^3 in colour", MEASURED, ("colour",)),
             Item("figure 1", "the algorithm", DIAGRAM),
@@ -189,7 +184,6 @@ PAPERS = (
         "quilt",
         9,
         2,
-        "i7 3.4 GHz, MATLAB",
         (
             Item("table 1", "repair of a section of bone", MEASURED, ("section",)),
             Item("table 2", "graded lattices", MEASURED, ("lattice",)),
@@ -211,7 +205,6 @@ PAPERS = (
         "bubbles",
         14,
         1,
-        "i5-2300, Python",
         (
             Item("table 1", "seconds and memory", MEASURED, ("bubbles",)),
             Item("figure 1", "separation 1, 2, 4", DRAWN, ("bubble_figures",)),

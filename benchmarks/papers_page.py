@@ -1,4 +1,4 @@
-"""The page "The five papers, reproduced", from saved results: every figure on it is a cell of one.
+"""The page "The five papers, reproduced", from saved results: every figure of ours is a cell of one.
 
 `page()` returns its text; `docs/guide/papers.md` is that text, and a test compares the two.
 """
@@ -39,6 +39,8 @@ def page() -> str:
         parts += [section.text() for section in sections[paper.key]]
         parts.append(_inventory(paper))
     parts.append(_runs())
+    found = words("pictures")
+    parts.append(f"## {found['title']}\n\n{found['words'].strip()}")
     return "\n\n".join(parts) + "\n"
 
 
