@@ -1,4 +1,5 @@
-"""The page "The five papers, reproduced", from saved results: every figure of ours is a cell of one.
+"""The page "The five papers, reproduced", from saved results: every figure of ours is a cell of
+one.
 
 `page()` returns its text; `docs/guide/papers.md` is that text, and a test compares the two.
 """
