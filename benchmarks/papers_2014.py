@@ -68,7 +68,7 @@ def _ways(key: str, run: str, picture: str, ways: Sequence[str]) -> Section:
 def _colour() -> Section:
     saved = load("colour")
     row = Row(
-        "64^3 of 64^2, colour, 11 x 11, 3 scales: indicators",
+        "64^2 to 32^3 (the paper: 64^3), colour, 11 x 11, 3 scales: indicators",
         "no figure",
         best=three(saved, "bread 2, mrf"),
         others=f"`kopf` {three(saved, 'bread 2, kopf')}, in {saved.cell('bread 2, kopf', 's')} s "
@@ -82,7 +82,7 @@ def _colour() -> Section:
 def _indicators() -> Section:
     rows: list[list[str]] = []
     wins = 0
-    for run, size in (("indicators", "64^3"), ("indicators_grey", "32^3")):
+    for run, size in (("indicators", "48^3"), ("indicators_grey", "32^3")):
         saved = load(run)
         found = [row[0] for row in saved.tables[0].rows if row[0].endswith(": real")]
         for name in (one.removesuffix(": real") for one in found):

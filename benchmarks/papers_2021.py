@@ -37,15 +37,6 @@ BESIDE = {
     "chen": "`chen`, default",
     "Gaussian field": "thresholded Gaussian field",
 }
-ABLATION = {
-    "baseline GAN": "adversarial only",
-    "PatchGAN": "PatchGAN",
-    "GAN + gram": "+ gram",
-    "GAN + structural": "+ structural",
-    "all (ScaffoldGAN)": "all",
-}
-"""Table 1's networks, and their names in case `gan_ablation`."""
-
 PAPER_BONES = (
     ("Bone 1", "0.54", "4.26", "9/3", "6/3"),
     ("Bone 2", "0.61", "3.50", "6/4", "6/4"),
@@ -76,7 +67,6 @@ def sections() -> Iterator[Section]:
     yield _like_for_like()
     yield _table_1_bone()
     yield _table_1_foam()
-    yield _losses()
     yield _tables_2_and_3()
     yield _speed()
 
@@ -192,22 +182,6 @@ def _table_1_bone() -> Section:
 def _table_1_foam() -> Section:
     rows = _table_1(load("by_example_2017"), "sample foam", FOAM, "4/2")
     return Section("2021 table 1, foam", ["by_example_2017"], heads=_heads("foam"), more=rows)
-
-
-def _losses() -> Section:
-    saved, rows = load("ablation"), []
-
-    def cell(name: str, head: str) -> str:
-        return saved.cell(name, head, table="bone")
-
-    for name, ours in ABLATION.items():
-        figures = [f"{100 * float(cell(ours, 'porosity_error')):.2f}"]
-        figures.append(f"{100 * float(cell(ours, 'two_point_relative')):.1f}")
-        figures += [cell(ours, head) for head in ("components", "largest_fraction")]
-        rows.append([name, *BONE[name][:3], cell(ours, "iterations"), *figures])
-    theirs = (f"paper: {SIDES[0]}", *SIDES[1:3])
-    heads = ("losses", *theirs, "ours: iterations", SIDES[0], "D2", "N_cc", "largest")
-    return Section("2021 losses", ["ablation"], heads=heads, more=rows)
 
 
 def _tables_2_and_3() -> Section:

@@ -95,7 +95,7 @@ PAPERS = (
                 "table 1",
                 "eight methods on bone and foam",
                 MEASURED,
-                ("by_example_2021", "by_example_2017", "ablation", "gan_models"),
+                ("by_example_2021", "by_example_2017", "gan_models", "gan_speed"),
                 "networks of full width: not measured, that needs a GPU",
             ),
             Item(
@@ -139,7 +139,8 @@ PAPERS = (
                 "figure 13",
                 "weights of the losses from .01 to 10",
                 NOT_MEASURED,
-                note="ten trainings at full width need a GPU; the chosen weights: run `ablation`",
+                note="ten trainings at full width need a GPU; at width 16, with the chosen weights: "
+                "[the card](../methods/gan.md)",
             ),
             Item(
                 "figure 14",

@@ -9,7 +9,6 @@ import bubbles
 import bubbles_figures
 import by_example
 import gan
-import gan_ablation
 import graded
 import image
 import image_figures
@@ -18,8 +17,8 @@ import papers_pictures
 import texture
 import texture_figures
 
-LABEL_PICTURES = "sandstone;ceramics;copolymer;composite;sofc;rods;speckles;separator pair"
-GREY_PICTURES = "gravel;brick;bread 2"
+LABEL_PICTURES = "sandstone;ceramics;copolymer;composite;sofc;rods;speckles"
+GREY_PICTURES = "gravel;bread 2"
 
 
 def _part(case: Callable[[], None], **options: str) -> Callable[[], None]:
@@ -52,13 +51,12 @@ RUNS: dict[str, Callable[[], None]] = {
     "materials": by_example.by_example_materials,
     "gan_models": _part(gan.models, MODELS="bone berea nmc"),
     "gan_speed": gan.speed,
-    "ablation": _part(gan_ablation.ablation, ONLY="bone", ITERATIONS="400"),
     "heuristics": _part(image_paper.image_paper, ONLY="ceramics;composite;gravel"),
     "cooling": image_figures.image_cooling,
     "upsampling": image_figures.image_upsampling,
     "relaxations": image_figures.image_relaxations,
     "colour": image_figures.image_colour,
-    "indicators": _part(image.image_likeness, ONLY=LABEL_PICTURES, METHODS="mrf;kopf", SIDE="64"),
+    "indicators": _part(image.image_likeness, ONLY=LABEL_PICTURES, METHODS="mrf;kopf", SIDE="48"),
     "indicators_grey": _part(
         image.image_likeness, ONLY=GREY_PICTURES, METHODS="mrf;kopf", SIDE="32"
     ),
