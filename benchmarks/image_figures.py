@@ -94,8 +94,8 @@ def image_relaxations() -> None:
 
 
 def image_colour() -> None:
-    """Figure 8 and the 48 hours: colour, 64^2 to 32^3 (the paper: 64^3), 11 x 11, 3 scales, by the default (Gibbs)
-    and by `kopf`.
+    """Figure 8 and the 48 hours: colour, 64^2 to 32^3 (the paper: 64^3), 11 x 11, 3 scales, by the
+    default (Gibbs) and by `kopf`.
     """
     image = picture(COLOUR)
     row = table("picture, way", *MEASURES, "s", wide=34)
