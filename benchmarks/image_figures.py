@@ -31,7 +31,7 @@ def picture(name: str, pixels: int = PIXELS) -> tb.Image:
 
 
 def image_cooling() -> None:
-    """Figure 5: xi and the stop of ICM, H2b, 64^3 from 64^2; `sweeps` of each scale, finest first.
+    """Figure 5: xi and the stop of ICM, H2b, 32^3 from 64^2; `sweeps` of each scale, finest first.
 
     The paper's texture takes about 18 iterations at xi = -1, 6 at xi = -3 with the stop at 95 %;
     the preset's xi is -8, since it counts the neighbours in space once each.
@@ -40,7 +40,7 @@ def image_cooling() -> None:
     image, volumes = picture(LABELS), {}
     for xi, stop in ((-1.0, 1.0), (-3.0, 1.0), (-3.0, 0.95), (-8.0, 0.95)):
         settings = {"preset": "paper", "xi": xi, "stop": stop}
-        seconds, volume = _make(image, SIDE, settings)
+        seconds, volume = _make(image, SMALL, settings)
         sweeps = [len(scale["changed"]) for scale in _report(volume)][::-1]
         words = f"{xi:g}, {100 * stop:g} %"
         row(
@@ -55,7 +55,7 @@ def image_cooling() -> None:
 
 
 def image_upsampling() -> None:
-    """Figure 6: 9 x 9 with 8/8 and with 1/8 up-sampling, 11 x 11 with 1/8; ICM, H2b, 64^3 from
+    """Figure 6: 9 x 9 with 8/8 and with 1/8 up-sampling, 11 x 11 with 1/8; ICM, H2b, 32^3 from
     64^2.
     """
     ways = {"9 x 9, 8/8": (9, "all"), "9 x 9, 1/8": (9, "one"), "11 x 11, 1/8": (11, "one")}
@@ -66,7 +66,7 @@ def image_upsampling() -> None:
             name: {"preset": "paper", "neighbourhood": width, "upsampling": way}
             for name, (width, way) in ways.items()
         },
-        SIDE,
+        SMALL,
     )
 
 

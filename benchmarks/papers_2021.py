@@ -33,8 +33,6 @@ OURS = {"Kopf": "kopf, paper", "Chen": "chen, paper", "Zhang 2017": "texture, pa
 BESIDE = {
     "texture": "`texture`, default",
     "texture, best": "`texture`, best (copies)",
-    "kopf": "`kopf`, default",
-    "chen": "`chen`, default",
     "Gaussian field": "thresholded Gaussian field",
 }
 PAPER_BONES = (
@@ -57,8 +55,8 @@ PAPER_STONES = (
 """Table 3: porosity error in per cent and D2 of the paper, D2 of Zhang 2017 and of the baseline."""
 
 OUR_BONES = ("bone b", "bone with cortex", "grey bone, Otsu", "sample bone")
-OUR_OTHERS = ("Berea", "NMC", "soil, Otsu")
-MODELS = ("bone", "berea", "nmc")
+OUR_OTHERS = ("Berea", "NMC")
+MODELS = ("bone", "berea")
 SIDES = ("porosity error %", "D2", "N_cc / N_f", "s")
 
 

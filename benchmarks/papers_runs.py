@@ -49,7 +49,7 @@ RUNS: dict[str, Callable[[], None]] = {
     "histogram": texture_figures.texture_histogram,
     "by_example_2021": by_example.by_example_2021,
     "materials": by_example.by_example_materials,
-    "gan_models": _part(gan.models, MODELS="bone berea nmc"),
+    "gan_models": _part(gan.models, MODELS="bone berea"),
     "gan_speed": gan.speed,
     "heuristics": _part(image_paper.image_paper, ONLY="ceramics;composite;gravel"),
     "cooling": image_figures.image_cooling,
