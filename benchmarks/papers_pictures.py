@@ -53,8 +53,13 @@ KEPT: dict[str, dict[str, Sheet]] = {
         "2021-berea": Sheet(("gan-berea.png",), **EQUAL),
     },
     "heuristics": {
-        "2014-heuristics-ceramics": Sheet(("image-paper-ceramics.png",)),
-        "2014-heuristics-gravel": Sheet(("image-paper-gravel.png",)),
+        "2014-heuristics": Sheet(
+            (
+                "image-paper-ceramics.png",
+                "image-paper-composite.png",
+                "image-paper-gravel.png",
+            )
+        )
     },
     "upsampling": {"2014-upsampling": Sheet(("image-upsampling-ceramics.png",))},
     "relaxations": {"2014-relaxations": Sheet(("image-relaxations-gravel.png",))},
