@@ -38,10 +38,11 @@ def sections() -> Iterator[Section]:
 
 def _heuristics() -> Section:
     saved, rows = load("heuristics"), []
-    held = {row[0] for row in saved.tables[0].rows}
     for key, words in SETTINGS.items():
         names = [f"{name}: {key}" for name in PICTURES]
-        rows.append([words, *(three(saved, name) if name in held else "refused" for name in names)])
+        rows.append(
+            [words, *(three(saved, name) if saved.has(name) else "refused" for name in names)]
+        )
     heads = ("setting", *PICTURES)
     return Section("2014 figure 4", ["heuristics"], heads=heads, more=rows)
 

@@ -162,7 +162,7 @@ def stills() -> None:
     for name, look in (("bone a", "bone"), ("sample foam", "foam")):
         exemplar = tb.crop(found.get(name, tb.sample("bone")), 60)
         images = {"exemplar, 60^3": exemplar}
-        for words, settings in (("preset paper", {"preset": "paper"}), ("default", {})):
+        for words, settings in (("default", {}), ("best", {"preset": "best"})):
             seconds, made = busy(
                 lambda e=exemplar, s=settings: (
                     tb.method("texture", **s).fit(e).generate(120, seed=0)

@@ -53,12 +53,20 @@ class Saved:
         InputError
             There is no such cell.
         """
-        tables = [one for one in self.tables if not table or one.heads[0] == table]
-        found = tables[0] if tables else Table([])
-        rows = [cells for cells in found.rows if cells[0] == row]
-        if len(rows) != 1 or head not in found.heads:
+        found = [
+            cells[one.heads.index(head)]
+            for one in self.tables
+            if table in ("", one.heads[0]) and head in one.heads
+            for cells in one.rows
+            if cells[0] == row
+        ]
+        if len(found) != 1:
             raise InputError(f"run {self.name!r} has no cell {row!r}, {head!r}: run it again")
-        return rows[0][found.heads.index(head)]
+        return found[0]
+
+    def has(self, row: str) -> bool:
+        """Return whether a table has a row of this name."""
+        return any(cells[0] == row for one in self.tables for cells in one.rows)
 
 
 def load(name: str) -> Saved:
