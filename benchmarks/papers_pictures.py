@@ -32,6 +32,9 @@ class Sheet:
     wide: tuple[int, ...] = ()
     """Pixels that are kept of each block: its first panel; the last one repeats. None: all."""
     columns: int = 4
+    pixels: int = WIDE
+    """Pixels that the picture may be wide."""
+    colours: int = COLOURS
 
 
 FIRST = {"blocks": (208, 316), "wide": (176, 262)}
@@ -79,7 +82,8 @@ KEPT: dict[str, dict[str, Sheet]] = {
         )
     },
     "bubble_figures": {
-        f"baravalle-figure-{number}": Sheet((f"figure-{number}.png",)) for number in (1, 2, 3, 5, 6)
+        f"baravalle-figure-{number}": Sheet((f"figure-{number}.png",), pixels=480, colours=8)
+        for number in (1, 2, 3, 5, 6)
     },
     "bubble_stills": {
         f"baravalle-{name}": Sheet((f"paper-{name}.png",))
@@ -97,7 +101,7 @@ def keep(run: str, folder: Path) -> None:
         found = [folder / file for file in sheet.files if (folder / file).is_file()]
         if found:
             PICTURES.mkdir(parents=True, exist_ok=True)
-            _small(_tiled(_beside(found), sheet), PICTURES / f"{name}.png")
+            _small(_tiled(_beside(found), sheet), sheet, PICTURES / f"{name}.png")
 
 
 def _beside(files: Sequence[Path]) -> Pillow.Image:
@@ -142,11 +146,11 @@ def _tiled(picture: Pillow.Image, sheet: Sheet) -> Pillow.Image:
 _MARGIN = 20
 
 
-def _small(picture: Pillow.Image, target: Path) -> None:
-    scale = min(1.0, WIDE / picture.width)
+def _small(picture: Pillow.Image, sheet: Sheet, target: Path) -> None:
+    scale = min(1.0, sheet.pixels / picture.width)
     size = (round(picture.width * scale), round(picture.height * scale))
     small = picture.resize(size, Pillow.Resampling.LANCZOS) if scale < 1 else picture
-    small.quantize(COLOURS, dither=Pillow.Dither.NONE).save(target, optimize=True)
+    small.quantize(sheet.colours, dither=Pillow.Dither.NONE).save(target, optimize=True)
 
 
 def stills() -> None:
