@@ -83,7 +83,7 @@ def _colour() -> Section:
 def _indicators() -> Section:
     rows: list[list[str]] = []
     wins = 0
-    for run, size in (("indicators", "48^3"), ("indicators_grey", "32^3")):
+    for run, size in (("indicators", "32^3"),):
         saved = load(run)
         found = [row[0] for row in saved.tables[0].rows if row[0].endswith(": real")]
         for name in (one.removesuffix(": real") for one in found):
@@ -96,8 +96,7 @@ def _indicators() -> Section:
             rows.append([f"{name}, {size}", *indicators, str(won), *seconds])
     heads = ("picture, size", "halves", "`mrf`", "`kopf`", "ahead in", "s, `mrf`", "s, `kopf`")
     values = {"wins": wins, "count": len(rows)}
-    runs = ["indicators", "indicators_grey"]
-    return Section("2014 figure 10", runs, heads=heads, more=rows, values=values)
+    return Section("2014 figure 10", ["indicators"], heads=heads, more=rows, values=values)
 
 
 def _views() -> Section:

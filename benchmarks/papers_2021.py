@@ -89,7 +89,7 @@ def _like_for_like() -> Section:
                 LESS,
             ),
         ]
-    networks = load("gan_models")
+    networks = load("gan_shipped")
     error, distance, _, _, seconds = _shipped(networks, "bone")
     paper = BONE["all (ScaffoldGAN)"]
     rows += [
@@ -110,7 +110,7 @@ def _like_for_like() -> Section:
             f"baseline GAN {BONE['baseline GAN'][0]}",
         ),
     ]
-    runs = ["by_example_2021", "by_example_2017", "gan_models"]
+    runs = ["by_example_2021", "by_example_2017", "gan_shipped"]
     return Section("2021 table 1", runs, rows)
 
 
@@ -168,12 +168,12 @@ def _heads(material: str) -> tuple[str, ...]:
 def _table_1_bone() -> Section:
     saved = load("by_example_2021")
     rows = _table_1(saved, "bone a", BONE, "6/4")
-    rows.append(["`gan`, shipped", *[""] * 4, *_shipped(load("gan_models"), "bone")])
+    rows.append(["`gan`, shipped", *[""] * 4, *_shipped(load("gan_shipped"), "bone")])
     elsewhere = _made(saved, "bone a, real elsewhere")
     rows.append(["real, elsewhere", *[""] * 4, *elsewhere])
     return Section(
         "2021 table 1, bone",
-        ["by_example_2021", "by_example_2017", "gan_models", "gan_speed"],
+        ["by_example_2021", "by_example_2017", "gan_shipped", "gan_speed"],
         heads=_heads("bone"),
         more=rows,
     )
@@ -185,7 +185,7 @@ def _table_1_foam() -> Section:
 
 
 def _tables_2_and_3() -> Section:
-    saved, networks, rows = load("materials"), load("gan_models"), []
+    saved, networks, rows = load("materials"), load("gan_shipped"), []
     for name, error, distance, counts, own in PAPER_BONES:
         rows.append([f"paper, {name}", error, distance, counts, own, "", "", ""])
     for name, error, distance, zhang, baseline in PAPER_STONES:
@@ -198,7 +198,7 @@ def _tables_2_and_3() -> Section:
         label = f"`gan`, shipped, {name}"
         rows.append([label, error, distance, counts, own, largest, "", seconds])
     heads = ("", *SIDES[:3], "exemplar's", "largest", "others; real, elsewhere: D2", "s")
-    runs = ["materials", "gan_models", "gan_speed"]
+    runs = ["materials", "gan_shipped", "gan_speed"]
     return Section("2021 tables 2 and 3", runs, heads=heads, more=rows)
 
 
@@ -213,7 +213,7 @@ def _material(saved: Saved, name: str, way: str) -> list[str]:
 
 
 def _speed() -> Section:
-    speed, networks = load("gan_speed"), load("gan_models")
+    speed, networks = load("gan_speed"), load("gan_shipped")
     found = "diversity of bone"
     apart, copied = (
         networks.cell("four samples", head, table=found)
@@ -226,4 +226,4 @@ def _speed() -> Section:
         Row("figure 8: least share of voxels in which two samples differ", "to the eye", apart),
         Row("figure 8: most that one sample copies of another, coherence(4)", "", copied),
     ]
-    return Section("2021 speed", ["gan_speed", "gan_models"], rows)
+    return Section("2021 speed", ["gan_speed", "gan_shipped"], rows)

@@ -51,7 +51,7 @@ KEPT: dict[str, dict[str, Sheet]] = {
     "weights": {"2017-weights": Sheet(("texture-weights.png",), **FIRST)},
     "stills": {"2017-stills": Sheet(("2017-stills.png",))},
     "by_example_2021": {"2021-curves": Sheet(("curves-bone-a.png",))},
-    "gan_models": {
+    "gan_shipped": {
         "2021-bone": Sheet(("gan-bone.png",), **EQUAL),
         "2021-berea": Sheet(("gan-berea.png",), **EQUAL),
     },

@@ -17,8 +17,7 @@ import papers_pictures
 import texture
 import texture_figures
 
-LABEL_PICTURES = "sandstone;ceramics;copolymer;composite;sofc;rods;speckles"
-GREY_PICTURES = "gravel;bread 2"
+PICTURES = "sandstone;ceramics;copolymer;composite;sofc;gravel;brick"
 
 
 def _part(case: Callable[[], None], **options: str) -> Callable[[], None]:
@@ -49,17 +48,14 @@ RUNS: dict[str, Callable[[], None]] = {
     "histogram": texture_figures.texture_histogram,
     "by_example_2021": by_example.by_example_2021,
     "materials": by_example.by_example_materials,
-    "gan_models": _part(gan.models, MODELS="bone berea"),
+    "gan_shipped": gan.shipped,
     "gan_speed": gan.speed,
     "heuristics": _part(image_paper.image_paper, ONLY="ceramics;composite;gravel"),
     "cooling": image_figures.image_cooling,
     "upsampling": image_figures.image_upsampling,
     "relaxations": image_figures.image_relaxations,
     "colour": image_figures.image_colour,
-    "indicators": _part(image.image_likeness, ONLY=LABEL_PICTURES, METHODS="mrf;kopf", SIDE="48"),
-    "indicators_grey": _part(
-        image.image_likeness, ONLY=GREY_PICTURES, METHODS="mrf;kopf", SIDE="32"
-    ),
+    "indicators": _part(image.image_likeness, ONLY=PICTURES, METHODS="mrf;kopf", SIDE="32"),
     "views": image_figures.image_views,
     "section": graded.graded_section,
     "lattice": graded.graded_lattice,
