@@ -54,7 +54,7 @@ PAPER_STONES = (
 )
 """Table 3: porosity error in per cent and D2 of the paper, D2 of Zhang 2017 and of the baseline."""
 
-OUR_MATERIALS = ("bone b", "bone with cortex", "Berea")
+OUR_MATERIALS = ("bone b", "Berea")
 MODELS = ("bone", "berea")
 SIDES = ("porosity error %", "D2", "N_cc / N_f", "s")
 

@@ -168,9 +168,7 @@ def stills() -> None:
         images = {"exemplar, 60^3": exemplar}
         for words, settings in (("default", {}), ("best", {"preset": "best"})):
             seconds, made = busy(
-                lambda e=exemplar, s=settings: (
-                    tb.method("texture", **s).fit(e).generate(120, seed=0)
-                )
+                lambda e=exemplar, s=settings: tb.method("texture", **s).fit(e).generate(96, seed=0)
             )
             images[words] = made
             row(f"{name}, {words}", f"{seconds:.1f}", tb.measure.components(made))
@@ -192,7 +190,7 @@ def _form(found: dict[str, tb.Image]) -> tb.Image:
     """Foam in a form, figure 7: a cow, or a ball where there is no mesh."""
     path = SCANS / "mesh_spot.ply"
     if path.is_file():
-        form = fit_mesh(tb.read_mesh(path), shape=150, spacing=1.0)
+        form = fit_mesh(tb.read_mesh(path), shape=110, spacing=1.0)
         mask = tb.voxelise(form, spacing=1.0).values > 0
     else:
         places = np.indices((96,) * 3) - 47.5
