@@ -54,7 +54,8 @@ PAPER_STONES = (
 )
 """Table 3: porosity error in per cent and D2 of the paper, D2 of Zhang 2017 and of the baseline."""
 
-OUR_MATERIALS = ("bone b", "Berea")
+MATERIALS = {"bone": ("by_example_2021", "bone a"), "foam": ("by_example_2017", "sample foam")}
+"""Run and exemplar."""
 MODELS = ("bone", "berea")
 SIDES = ("porosity error %", "D2", "N_cc / N_f", "s")
 
@@ -185,26 +186,30 @@ def _table_1_foam() -> Section:
 
 
 def _tables_2_and_3() -> Section:
-    saved, networks, rows = load("materials"), load("gan_shipped"), []
+    networks, rows = load("gan_shipped"), []
     for name, error, distance, counts, own in PAPER_BONES:
         rows.append([f"paper, {name}", error, distance, counts, own, "", "", ""])
     for name, error, distance, zhang, baseline in PAPER_STONES:
         others = f"Zhang 2017 {zhang}, baseline GAN {baseline}"
         rows.append([f"paper, {name}", error, distance, "", "", "", others, ""])
-    rows += [_material(saved, name, "texture") for name in OUR_MATERIALS]
+    for name in ("bone", "foam"):
+        rows += [_material(name, way) for way in ("texture, paper", "texture", "texture, best")]
     for name in MODELS:
         error, distance, counts, largest, seconds = _shipped(networks, name)
         own = networks.cell("components", "exemplar", table=f"figure of {name}")
         label = f"`gan`, shipped, {name}"
         rows.append([label, error, distance, counts, own, largest, "", seconds])
     heads = ("", *SIDES[:3], "exemplar's", "largest", "others; real, elsewhere: D2", "s")
-    runs = ["materials", "gan_shipped", "gan_speed"]
+    runs = ["by_example_2021", "by_example_2017", "gan_shipped", "gan_speed"]
     return Section("2021 tables 2 and 3", runs, heads=heads, more=rows)
 
 
-def _material(saved: Saved, name: str, way: str) -> list[str]:
-    error, distance, counts, largest, seconds = _made(saved, f"{name}, {way}")
-    own, elsewhere = f"{name}, exemplar", f"{name}, real elsewhere"
+def _material(name: str, way: str) -> list[str]:
+    """The rows of table 1 once more, so that tables 2 and 3 have them beside theirs."""
+    run, exemplar = MATERIALS[name]
+    saved = load(run)
+    error, distance, counts, largest, seconds = _made(saved, f"{exemplar}, {way}")
+    own, elsewhere = f"{exemplar}, exemplar", f"{exemplar}, real elsewhere"
     real = f"real {spread(saved, elsewhere)}" if saved.has(elsewhere) else ""
     counted = f"{saved.cell(own, 'N_cc')}/{saved.cell(own, 'N_f')}"
     method, _, preset = way.partition(", ")

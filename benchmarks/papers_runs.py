@@ -47,7 +47,6 @@ RUNS: dict[str, Callable[[], None]] = {
     "stills": papers_pictures.stills,
     "histogram": texture_figures.texture_histogram,
     "by_example_2021": by_example.by_example_2021,
-    "materials": by_example.by_example_materials,
     "gan_shipped": gan.shipped,
     "gan_speed": gan.speed,
     "heuristics": _part(image_paper.image_paper, ONLY="ceramics;composite;gravel"),
