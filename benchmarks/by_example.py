@@ -234,15 +234,3 @@ def by_example_2021() -> None:
     bone = "bone a" if "bone a" in found else "sample bone"
     names = ("texture, paper", "texture", "texture, best", "Gaussian field")
     compare({bone: corner(found[bone], 100)}, {name: (MAKERS[name][0], (0,)) for name in names})
-
-
-def by_example_materials() -> None:
-    """Tables 2 and 3 of 2021: 120^3 from 100^3 of another bone and of a rock in place of the
-    paper's, by `texture`, one seed; columns as in `by_example_2017`.
-    """
-    found = wholes()
-    chosen = [name for name in ("bone b", "Berea") if name in found]
-    compare(
-        {name: corner(found[name], 100) for name in chosen or ["sample bone"]},
-        {"texture": (MAKERS["texture"][0], (0,))},
-    )

@@ -92,7 +92,6 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_histogram": texture_figures.texture_histogram,
     "by_example_2017": by_example.by_example_2017,
     "by_example_2021": by_example.by_example_2021,
-    "by_example_materials": by_example.by_example_materials,
     "evenness": evenness.evenness_table,
     "texture_speed": texture_speed.speed,
     "texture_sizes": texture_speed.sizes,
