@@ -2,15 +2,45 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 SCANS = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+LEVEL = 0.002
+"""Indicators of pictures that differ by less are level: where a histogram is matched exactly,
+digits behind that are rounding.
+"""
+
+
+@dataclass
+class Table:
+    """What a case printed: the heads of a table, and its rows, all as strings."""
+
+    heads: list[str]
+    rows: list[list[str]] = field(default_factory=list)
+
+
+_RECORD: ContextVar[list[Table] | None] = ContextVar("record", default=None)
+
+
+@contextlib.contextmanager
+def recorded() -> Iterator[list[Table]]:
+    """Collect the tables that cases print within this block."""
+    tables: list[Table] = []
+    token = _RECORD.set(tables)
+    try:
+        yield tables
+    finally:
+        _RECORD.reset(token)
 
 
 def pictures() -> Path | None:
@@ -21,6 +51,15 @@ def pictures() -> Path | None:
     folder = Path(named)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
+
+
+def asked(name: str) -> list[str]:
+    """The words that an option of `trabecula bench` gave, none where it was not given."""
+    return [
+        word.strip()
+        for word in os.environ.get(f"TRABECULA_BENCH_{name}", "").split(";")
+        if word.strip()
+    ]
 
 
 def unit() -> float:
@@ -53,10 +92,16 @@ def table(first: str, *heads: str, wide: int = 22) -> Callable[..., None]:
     `wide`.
     """
     widths = [max(12, len(head)) for head in heads]
+    record, kept = _RECORD.get(), Table([first, *heads])
 
     def row(name: object, *cells: object) -> None:
+        if record is not None:
+            kept.rows.append([str(name), *(str(cell) for cell in cells)])
         right = (f"{cell!s:>{width}}" for cell, width in zip(cells, widths, strict=True))
         print(" | ".join([f"{name!s:<{wide}}", *right]).rstrip(), flush=True)
 
     row(first, *heads)
+    kept.rows.clear()  # the heads
+    if record is not None:
+        record.append(kept)
     return row

@@ -8,9 +8,9 @@ from functools import partial
 import numpy as np
 
 import trabecula as tb
-from common import table, timed
+from common import asked, table, timed
 from descriptors import scans
-from image import asked, draw, side_of
+from image import draw, side_of
 from trabecula.core.checks import check_name
 from trabecula.core.errors import TrabeculaError
 from trabecula.measure.correlation import two_point

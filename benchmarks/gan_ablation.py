@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import trabecula as tb
-from common import busy, pictures, table, tell
+from common import asked, busy, pictures, table, tell
 from gan import exemplar
 from trabecula.core.errors import TrainingError
 from trabecula.synth.gan.config import GanConfig
@@ -62,10 +62,10 @@ _FIGURES = (
 
 def ablation() -> None:
     """Table 1 of the paper at compact width, bone and Berea: TRABECULA_BENCH_ITERATIONS (1000), or
-    fewer of what is dearer.
+    fewer of what is dearer; `--only bone` takes one of them.
     """
     most = int(os.environ.get("TRABECULA_BENCH_ITERATIONS", "1000"))
-    for name in ("bone", "berea"):
+    for name in asked("ONLY") or ("bone", "berea"):
         scan = exemplar(name)
         if scan is None:
             continue

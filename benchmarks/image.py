@@ -9,7 +9,6 @@ bench`, or TRABECULA_BENCH_ONLY, _METHODS and _SIDE, whose words are parted by s
 from __future__ import annotations
 
 import math
-import os
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import trabecula as tb
-from common import SCANS, busy, pictures, table
+from common import LEVEL, SCANS, asked, busy, pictures, table
 from trabecula.core.checks import check_name
 from trabecula.core.errors import TrabeculaError
 from trabecula.measure.correlation import covariance_form, two_point
@@ -30,10 +29,6 @@ from trabecula.synth.api.registry import methods
 
 LAGS = 32
 REACH = 40
-LEVEL = 0.002
-"""Figures that differ by less are level: where a histogram is matched exactly, digits behind that
-are rounding.
-"""
 
 CROP = 192
 """Pixels a side of the centre of a picture that is learnt from."""
@@ -86,15 +81,6 @@ class Likeness:
             "-" if value is None else f"{value:.3f}" for value in (self.covariance, self.preference)
         ]
         return [f"{value:.4f}" for value in self.three] + more
-
-
-def asked(name: str) -> list[str]:
-    """The words that an option of `trabecula bench` gave, none where it was not given."""
-    return [
-        word.strip()
-        for word in os.environ.get(f"TRABECULA_BENCH_{name}", "").split(";")
-        if word.strip()
-    ]
 
 
 def side_of(default: int) -> int:

@@ -99,12 +99,12 @@ def _smaller() -> dict[str, Sequence[tb.Image]]:
     found = exemplars()
     names = [name for name in PICTURES if name in found] or list(found)[:1]
     return {
-        name: [_reduced(tb.crop(image, min(CROP, *image.shape))) for image in found[name][:1]]
+        name: [reduced(tb.crop(image, min(CROP, *image.shape))) for image in found[name][:1]]
         for name in names
     }
 
 
-def _reduced(image: tb.Image) -> tb.Image:
+def reduced(image: tb.Image) -> tb.Image:
     """Reduce a grey picture to 32 levels, as for figure 7."""
     return (
         tb.Image(image.values // np.uint8(8) * np.uint8(8), "grey")

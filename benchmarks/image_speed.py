@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 import trabecula as tb
-from common import SCANS, table
-from image import asked
+from common import SCANS, asked, table
 from trabecula.core.errors import TrabeculaError
 from trabecula.synth.api.registry import methods
 

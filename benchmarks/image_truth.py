@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 import trabecula as tb
-from common import table
+from common import asked, table
 from descriptors import scans
-from image import asked, draw, made, side_of
+from image import draw, made, side_of
 from trabecula.core.checks import check_name
 from trabecula.exemplar.views import PLANES
 from trabecula.measure.correlation import axis_preference, covariance_form, two_point

@@ -21,6 +21,7 @@ import big_whole
 import bubbles
 import bubbles_figures
 import bubbles_fit
+import by_example
 import drainage
 import ensemble_rates
 import ensembles
@@ -30,6 +31,7 @@ import gan
 import gan_ablation
 import graded
 import image
+import image_figures
 import image_paper
 import image_speed
 import image_truth
@@ -37,8 +39,10 @@ import intervals
 import networks
 import noise
 import novelty_blind
+import papers
 import printing
 import texture
+import texture_figures
 import texture_speed
 import trabecula as tb
 import trends
@@ -83,15 +87,27 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_repeat": texture.repeat,
     "texture_energy": texture.energy,
     "texture_paper": texture.paper,
+    "texture_repeat_paper": texture.repeat_paper,
+    "texture_weights": texture_figures.texture_weights,
+    "texture_iso_value": texture_figures.texture_iso_value,
+    "texture_histogram": texture_figures.texture_histogram,
+    "by_example_2017": by_example.by_example_2017,
+    "by_example_2021": by_example.by_example_2021,
     "evenness": evenness.evenness_table,
     "texture_speed": texture_speed.speed,
     "texture_sizes": texture_speed.sizes,
     "gan_models": gan.models,
+    "gan_shipped": gan.shipped,
     "gan_speed": gan.speed,
     "gan_ablation": gan_ablation.ablation,
     "gan_smoke": gan.smoke,
     "image_likeness": image.image_likeness,
     "image_paper": image_paper.image_paper,
+    "image_cooling": image_figures.image_cooling,
+    "image_upsampling": image_figures.image_upsampling,
+    "image_relaxations": image_figures.image_relaxations,
+    "image_colour": image_figures.image_colour,
+    "image_views": image_figures.image_views,
     "image_truth": image_truth.image_truth,
     "image_speed": image_speed.image_speed,
     "fusion": fusion.fusion,
@@ -114,6 +130,7 @@ CASES: dict[str, Callable[[], None]] = {
     "big_workers": big.big_workers,
     "big_scaling": big_scaling.big_scaling,
     "big_whole": big_whole.big_whole,
+    "papers": papers.papers,
     "view_still": view.view_still,
     "view_page": view.view_page,
     "surfaces": printing.surfaces,

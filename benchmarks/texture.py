@@ -332,12 +332,22 @@ def repeat() -> None:
 
     `copied` is coherence(4) with the piece that the round was made from.
     """
+    repeat_with({}, "bone a", "sample foam")
+
+
+def repeat_paper() -> None:
+    """The same by the paper's preset, of bone."""
+    repeat_with({"preset": "paper"}, "bone a")
+
+
+def repeat_with(settings: Mapping[str, Any], *names: str) -> None:
+    """Repeat results on themselves, by `texture` with these settings."""
     kept = ("S2 rel", "parts", "largest", "thickness", "Euler", "pore size", "coh(4)")
     row = table("exemplar, round", "paper", *kept, "expected", "copied", wide=24)
-    for name, original in chosen_exemplars("bone a", "sample foam").items():
+    for name, original in chosen_exemplars(*names).items():
         source, reference = original, reference_of(original)
         for number, paper in enumerate(PAPER_DRIFT, start=1):
-            material = fitted(source, {}).generate(SIDE, seed=number)
+            material = fitted(source, settings).generate(SIDE, seed=number)
             metrics = judged(reference, material)
             copied = tb.measure.coherence(source, material, k=(4,), samples=500)[4]
             expected = f"{metrics['components'].exemplar:.0f}"

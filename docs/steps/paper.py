@@ -61,12 +61,17 @@ _BUNNY = """A bunny of bone, by the preset of `bubbles`: a cortex, and plates an
 
 def draw_paper(folder: Path) -> str:
     """Draw all of them and return the section that shows them."""
-    _draw_breads(folder)
-    _draw_materials(folder)
-    _draw_rivals(folder)
+    draw_figures(folder)
     _draw_cantilever(folder)
     ours = _ARM + (_BUNNY if _draw_bunny(folder) else "")
     return _SECTION.format(ours=ours)
+
+
+def draw_figures(folder: Path) -> None:
+    """Draw figures 9 to 14."""
+    _draw_breads(folder)
+    _draw_materials(folder)
+    _draw_rivals(folder)
 
 
 def _draw_breads(folder: Path) -> None:

@@ -68,11 +68,10 @@ def test_parts_of_a_case_are_passed_on(checkout, monkeypatch, capfd):
     (checkout / "benchmarks" / "run.py").write_text(script)
     monkeypatch.delenv("TRABECULA_BENCH_OUT", raising=False)
     attempt("bench", "image", "--only", "bread 2", "rods", "--methods", "mrf:fast", "--side", 32)
-    assert json.loads(capfd.readouterr().out) == {
-        "ONLY": "bread 2;rods",
-        "METHODS": "mrf:fast",
-        "SIDE": "32",
-    }
+    told = json.loads(capfd.readouterr().out)
+    assert told == {"ONLY": "bread 2;rods", "METHODS": "mrf:fast", "SIDE": "32"}
+    attempt("bench", "papers", "--run", "weights", "repeat")
+    assert json.loads(capfd.readouterr().out) == {"RUN": "weights;repeat"}
 
 
 def test_an_installed_package_says_where_the_benchmarks_are(checkout):

@@ -14,6 +14,8 @@ _PARTS = {
     "only": "of the cases named image and fusion: exemplars by name (default: all)",
     "methods": "of the cases named image: methods, with a preset as in mrf:fast; of those named "
     "big: methods (default: all)",
+    "run": "of the case papers: results to measure and save again (default: the page from those "
+    "that are saved)",
     "side": "of the cases named image, fusion and big: voxels a side of what is made",
 }
 
