@@ -366,6 +366,8 @@ def _repeat_field(image: Image | None, step: Mapping[str, Any], sources: RecipeF
     if step["make"] in fields.FROM_AN_IMAGE:
         return fields.FROM_AN_IMAGE[step["make"]](_require(image), **settings)
     check_name(step["make"], fields.FROM_NOTHING, name="field of a recipe")
+    if "path" in settings:  # of a solver's result
+        settings["path"] = sources.find(settings["path"])
     return fields.FROM_NOTHING[step["make"]](**settings)
 
 

@@ -50,7 +50,13 @@ def write(grid: BrickGrid, path: Path, context: ExportContext) -> None:
 def _head(grid: BrickGrid, context: ExportContext, starts: list[int], index: np.dtype) -> str:
     nodes, bricks = grid.count.nodes, sum(grid.count.bricks)
     # A comment, not field data: of these some readers (meshio) know no text.
-    about = {"unit": context.unit, "phases": grid.volume.phases, "recipe": context.recipe.to_json()}
+    about = {
+        "unit": context.unit,
+        "shape": grid.volume.shape,
+        "spacing": grid.volume.spacing,
+        "phases": grid.volume.phases,
+        "recipe": context.recipe.to_json(),
+    }
     text = json.dumps({"trabecula": about}).replace("--", "-\\u002d")
 
     def array(kind: str, name: str, block: int, more: str = "") -> str:
