@@ -371,6 +371,16 @@ def _repeat_field(image: Image | None, step: Mapping[str, Any], sources: RecipeF
     return fields.FROM_NOTHING[step["make"]](**settings)
 
 
+def _repeat_render(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
+    names = ("look", "size", "phase", "camera", "cut", "threshold")
+    given = {name: step[name] for name in names}
+    if "field" in step:
+        inside = sources.inside("target")
+        given["field"] = _replay_steps(Recipe.from_json(step["field"]), inside)
+        given["limits"] = step["limits"]
+    return render(_require(image), **given)
+
+
 def _require(image: Image | None) -> Image:
     if image is None:
         raise InputError("the recipe is damaged: its first step needs an image that no step made")
@@ -399,8 +409,5 @@ _STEPS: dict[str, Callable[[Image | None, Mapping[str, Any], RecipeFiles], Image
     "generate": _repeat_generate,
     "finish": _repeat_finish,
     "field": _repeat_field,
-    "render": lambda image, step, sources: render(
-        _require(image),
-        **{name: step[name] for name in ("look", "size", "phase", "camera", "cut", "threshold")},
-    ),
+    "render": _repeat_render,
 }
