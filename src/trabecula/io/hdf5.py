@@ -78,7 +78,7 @@ def _choose(h5py: Any, file: Any, path: Path, dataset: str | None) -> str:
         name = dataset.strip("/")
         check_name(name, known, name=f"data set of {path.name}")
         return name
-    marked = _nexus_default(file)
+    marked = _nexus_default(h5py, file)
     for name in ([marked] if marked else []) + list(_USUAL):
         if name in known:
             return name
@@ -92,16 +92,16 @@ def _choose(h5py: Any, file: Any, path: Path, dataset: str | None) -> str:
     return chosen[0]
 
 
-def _nexus_default(file: Any) -> str | None:
+def _nexus_default(h5py: Any, file: Any) -> str | None:
     """Return the place of the data set that NeXus marks: by `default` down to `signal`."""
     node = file
     for _ in range(8):
         step = _word(node.attrs.get("default"))
-        if step is None or step not in node:
+        if step is None or not isinstance(node, h5py.Group) or step not in node:
             break
         node = node[step]
     signal = _word(node.attrs.get("signal"))
-    if signal is None or signal not in node:
+    if signal is None or not isinstance(node, h5py.Group) or signal not in node:
         return None
     return str(node[signal].name).strip("/")
 
@@ -119,7 +119,7 @@ def _calibration(h5py: Any, file: Any, found: Any, ndim: int) -> Calibration:
         for name in _SIZES:
             if name in node.attrs:
                 return _of_attribute(node, name, ndim)
-        if _DREAM in node:
+        if isinstance(node, h5py.Group) and _DREAM in node:
             spacing = np.asarray(node[_DREAM]["SPACING"][()], float).ravel()[::-1]
             return _as_calibration(spacing, None, f"{_DREAM}/SPACING", ndim)
         if node.name == "/":
