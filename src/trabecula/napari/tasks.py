@@ -12,7 +12,7 @@ _EVERY = 100
 """Milliseconds between looks at the progress."""
 
 
-class Task:
+class PanelTask:
     """One piece of work at a time, of one panel.
 
     Parameters

@@ -1,6 +1,6 @@
 """Panels beside napari's canvas: inspect a scan, generate material, judge it by the certificate.
 
-Each is a function that returns a magicgui Container. The work runs in a thread (`Task`).
+Each is a function that returns a magicgui Container. The work runs in a thread (`PanelTask`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from trabecula.core.image import Image
 from trabecula.core.optional import need
 from trabecula.exemplar.margins import crop_margins
 from trabecula.napari.layers import layer_data, layer_image
-from trabecula.napari.tasks import Task
+from trabecula.napari.tasks import PanelTask
 from trabecula.report.recommend import recommend
 from trabecula.report.summary_text import summary
 from trabecula.synth.api.registry import method, methods
@@ -28,7 +28,7 @@ def inspect_panel(napari_viewer: Any = None) -> Any:
     scan = _layer_choice("scan")
     text, bar = _text(), widgets.ProgressBar(max=100, label="progress")
     button = widgets.PushButton(text="Inspect")
-    task = Task(button, bar, lambda line: setattr(text, "value", line))
+    task = PanelTask(button, bar, lambda line: setattr(text, "value", line))
 
     def start() -> None:
         image = _checked(scan, text)
@@ -49,7 +49,7 @@ def generate_panel(napari_viewer: Any = None) -> Any:
     repeat = widgets.CheckBox(label="periodic", value=False)
     text, bar = _text(), widgets.ProgressBar(max=100, label="progress")
     button = widgets.PushButton(text="Generate")
-    task = Task(button, bar, lambda line: setattr(text, "value", line))
+    task = PanelTask(button, bar, lambda line: setattr(text, "value", line))
 
     def start() -> None:
         image = _checked(scan, text)
@@ -84,7 +84,7 @@ def certificate_panel(napari_viewer: Any = None) -> Any:
     page = widgets.FileEdit(label="page", mode="w", filter="*.html", value="")
     text, bar = _text(), widgets.ProgressBar(max=100, label="progress")
     button = widgets.PushButton(text="Verify")
-    task = Task(button, bar, lambda line: setattr(text, "value", line))
+    task = PanelTask(button, bar, lambda line: setattr(text, "value", line))
 
     def start() -> None:
         pair = [_checked(one, text) for one in (scan, result)]
@@ -132,7 +132,7 @@ def _show(text: Any, words: str) -> None:
     text.value = words
 
 
-def _panel(parts: list[Any], task: Task) -> Any:
+def _panel(parts: list[Any], task: PanelTask) -> Any:
     panel = _widgets().Container(widgets=parts, labels=True)
     panel.task = task  # so that it lives as long as the panel
     return panel

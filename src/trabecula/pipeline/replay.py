@@ -358,6 +358,8 @@ def _repeat_finish(image: Image | None, step: Mapping[str, Any], sources: Recipe
         settings["exemplar"] = _replay_steps(Recipe.from_json(steps), sources.inside("exemplar"))
     if "mask" in step:
         settings["mask"] = _replay_steps(Recipe.from_json(step["mask"]), sources.inside("mask"))
+    if step["operation"] == "scan":
+        return finish.scan(_require(image), **settings)
     return finish.OPERATIONS[step["operation"]](_require(image), **settings)
 
 
