@@ -37,6 +37,7 @@ import intervals
 import noise
 import novelty_blind
 import printing
+import scan
 import texture
 import texture_speed
 import trabecula as tb
@@ -76,6 +77,7 @@ def measures() -> None:
 
 
 CASES: dict[str, Callable[[], None]] = {
+    "scan": scan.segmenters,
     "texture_fidelity": texture.fidelity,
     "texture_materials": texture.materials,
     "texture_novelty": texture.novelty,

@@ -31,7 +31,7 @@ def test_partial_volume_has_the_volume_and_the_place_of_the_true_surface():
     """Of a ball: the shares of its voxels sum to its volume, and fall with the distance."""
     centre = np.array([15.2, 15.5, 15.9])
     image = ball(radius=10.3, centre=centre.reshape(3, 1, 1, 1))
-    share = coverage(image.values, 2)[1]
+    share = coverage(image.values, (0, 0))[1]
     assert share.sum() == pytest.approx(4 / 3 * np.pi * 10.3**3, rel=0.02)
     at = np.indices(image.shape) - centre.reshape(3, 1, 1, 1)
     true = (0.5 + 10.3 - np.sqrt((at**2).sum(axis=0))).clip(0, 1)
@@ -42,7 +42,7 @@ def test_partial_volume_has_the_volume_and_the_place_of_the_true_surface():
 
 def test_shares_of_several_phases_sum_to_one():
     values = np.random.default_rng(3).integers(0, 4, (6, 7, 8)).astype(np.uint8)
-    np.testing.assert_allclose(np.sum(coverage(values, 4), axis=0), 1, atol=1e-6)
+    np.testing.assert_allclose(np.sum(coverage(values, (0, 0, 0, 0)), axis=0), 1, atol=1e-6)
 
 
 def test_blur_widens_an_edge_as_a_gaussian_does():
@@ -100,7 +100,7 @@ def test_any_slab_and_any_number_of_threads_give_the_same(monkeypatch):
 def real():
     """Return labels, a scan of them by a model that is known, and the model."""
     grain = module.gaussian_grain(0.9)
-    more = {"blur": 1.2, "grain": (grain, grain), "cupping": 0.12, "rings": 4.0}
+    more = {"blur": 1.2, "inset": 0.3, "grain": (grain, grain), "cupping": 0.12, "rings": 4.0}
     model = ScanModel((50, 190), noise=(8, 12), **more)
     labels = blocks(72)
     return labels, scan(labels, model=model, seed=1), model
@@ -112,6 +112,7 @@ def test_a_fit_finds_the_model_again(real):
     found = fit_scan(grey, labels)
     assert found.levels == pytest.approx(model.levels, abs=6)
     assert found.blur == pytest.approx(model.blur, abs=0.3)
+    assert found.inset == pytest.approx(0.3, abs=0.11)
     assert found.noise == pytest.approx(model.noise, rel=0.25)
     assert found.cupping == pytest.approx(0.12, abs=0.03)
     assert found.rings == pytest.approx(4.0, rel=0.3)

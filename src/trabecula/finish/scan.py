@@ -2,7 +2,8 @@
 
 1. Partial volume: every phase covers a share of a voxel, by the distance of the voxel's middle from
    the interface. That is the surface where the smoothed indicator is 1/2, so the staircase of the
-   labels does not show; a voxel's own phase covers at least half of it.
+   labels does not show; a voxel's own phase covers at least half of it. Whoever labels a scan may
+   draw the bright phase wider or thinner than it is at half its level: that is `inset`.
 2. The shares times the phases' grey levels, blurred by the point-spread function, a Gaussian.
 3. Beam hardening: values fall towards the axis (cupping), as 1 - c (1 - r^2 / R^2), R half the
    shorter side across the axis.
@@ -51,8 +52,12 @@ _DEPTH = 32
 _INSIDE = (2.5, 3.5)
 """Distances from the interface, voxels, beyond which a voxel is its phase alone: bright, dark."""
 
-_SIGMAS = np.arange(0.0, 3.01, 0.1)
-"""Blurs that are tried in a fit."""
+_SIGMAS = tuple(round(0.1 * k, 1) for k in range(31))
+_INSETS = tuple(round(0.1 * k, 1) for k in range(-10, 11))
+"""Blurs and insets that are tried in a fit."""
+
+_FITTED = 64
+"""Side of the middle that they are fitted in, voxels."""
 
 _RING_SHARE = (0.75 - 0.125) ** 2 + 0.125**2
 """Half the mean square of the step between means of neighbouring rings, for rings of variance 1."""
@@ -80,6 +85,8 @@ class ScanModel:
         Share by which values fall on the axis z through the middle, 0..0.9.
     rings : float
         Standard deviation of the rings about that axis, in grey levels.
+    inset : float
+        Voxels by which the brightest phase lies inside its labels, -1..1.
     dtype : str
         "uint8", "uint16" or "float32".
     """
@@ -90,6 +97,7 @@ class ScanModel:
     grain: tuple[Taps, ...] = ()
     cupping: float = 0.0
     rings: float = 0.0
+    inset: float = 0.0
     dtype: str = "uint8"
 
     __repr__ = brief
@@ -105,6 +113,7 @@ class ScanModel:
         object.__setattr__(self, "blur", _number(self.blur, "blur", 0, 20))
         object.__setattr__(self, "cupping", _number(self.cupping, "cupping", 0, 0.9))
         object.__setattr__(self, "rings", _number(self.rings, "rings", 0, 1e6))
+        object.__setattr__(self, "inset", _number(self.inset, "inset", -1, 1))
         check_name(self.dtype, TYPES, name="type of a scan")
         if len(self.noise) != count or len(self.grain) != count or count < 2:
             raise InputError(
@@ -160,8 +169,8 @@ def scan(
         0 .. 2**63 - 1.
     **settings
         Fields of `ScanModel` that replace those learned: levels, blur, noise, grain, cupping,
-        rings, dtype. Without a scan or model the levels are even from 60 to 180, the noise a tenth
-        of their distance.
+        rings, inset, dtype. Without a scan or model the levels are even from 60 to 180, the noise
+        a tenth of their distance.
 
     Returns
     -------
@@ -206,11 +215,12 @@ def scan(
         "grain": [[list(taps) for taps in axes] for axes in chosen.grain],
         "cupping": chosen.cupping,
         "rings": chosen.rings,
+        "inset": chosen.inset,
         "dtype": chosen.dtype,
         "seed": seed,
     }
     before = image.recipe if image.recipe else image.recipe.then("array", image.values)
-    shown = {name: step[name] for name in ("levels", "blur", "noise", "cupping", "rings")}
+    shown = {name: step[name] for name in ("levels", "blur", "inset", "noise", "cupping", "rings")}
     recipe = before.then("finish", values, operation="scan", settings=step, report=shown)
     return Image(values, "grey", image.spacing, image.unit, recipe=recipe)
 
@@ -274,7 +284,7 @@ def scan_slab(labels: np.ndarray, model: ScanModel, seed: int, start: int, stop:
     """Return the slices start..stop of the scan of labels, (stop - start, Y, X) float32."""
     halo = model.halo
     planes = np.arange(start - halo, stop + halo).clip(0, len(labels) - 1)
-    shares = coverage(labels[planes], len(model.levels))
+    shares = coverage(labels[planes], _insets(model.levels, model.inset))
     clean = np.zeros(shares[0].shape, np.float32)
     for share, level in zip(shares, model.levels, strict=True):
         clean += share * np.float32(level)
@@ -296,22 +306,45 @@ def scan_slab(labels: np.ndarray, model: ScanModel, seed: int, start: int, stop:
     return grey
 
 
-def coverage(labels: np.ndarray, count: int) -> list[np.ndarray]:
-    """Return the share of every voxel that each phase covers, float32 arrays that sum to 1."""
+def _insets(levels: Sequence[float], inset: float) -> tuple[float, ...]:
+    """Return by how much each phase lies inside its labels: the others grow as the brightest
+    shrinks.
+    """
+    return tuple(inset if level == max(levels) else -inset for level in levels)
+
+
+def coverage(labels: np.ndarray, insets: Sequence[float]) -> list[np.ndarray]:
+    """Return the share of every voxel that each phase covers, float32 arrays that sum to 1; a phase
+    for each inset (see `ScanModel`).
+    """
+    return _shares(labels, [_distance(labels == phase) for phase in range(len(insets))], insets)
+
+
+def _shares(
+    labels: np.ndarray, distances: Sequence[np.ndarray], insets: Sequence[float]
+) -> list[np.ndarray]:
+    """Return the shares of phases by their distances from an interface (see `coverage`)."""
     found = []
-    for phase in range(count):
+    for phase, (distance, inset) in enumerate(zip(distances, insets, strict=True)):
+        share = (0.5 + distance - np.float32(inset)).clip(0, 1)
+        least = np.float32(min(max(0.5 - inset, 0), 1))
         inside = labels == phase
-        level = gaussian(inside, _EDGE)
-        slope = np.zeros_like(level)
-        for axis in range(3):
-            if level.shape[axis] > 1:
-                slope += np.square(np.gradient(level, axis=axis))
-        # the distance of the middle from the interface, to first order
-        distance = (level - np.float32(0.5)) / np.sqrt(np.maximum(slope, np.float32(1e-12)))
-        share = (np.float32(0.5) + distance).clip(0, 1)
-        found.append(np.where(inside, np.maximum(share, 0.5), np.minimum(share, 0.5)))
-    total = np.sum(found, axis=0)
+        found.append(np.where(inside, np.maximum(share, least), np.minimum(share, least)))
+    total = np.maximum(np.sum(found, axis=0), np.float32(1e-6))
     return [(share / total).astype(np.float32) for share in found]
+
+
+def _distance(inside: np.ndarray) -> np.ndarray:
+    """Return the distance of the middles of voxels from an interface, to first order, voxels; it is
+    above 0 inside.
+    """
+    level = gaussian(inside, _EDGE)
+    slope = np.zeros_like(level)
+    for axis in range(3):
+        if level.shape[axis] > 1:
+            slope += np.square(np.gradient(level, axis=axis))
+    flat = np.sqrt(np.maximum(slope, np.float32(1e-12)))
+    return np.asarray((level - np.float32(0.5)) / flat)
 
 
 def _radius(shape: Sequence[int]) -> np.ndarray:
@@ -377,10 +410,10 @@ def fit_scan(scan: Image, labels: Image | None = None) -> ScanModel:
     Returns
     -------
     ScanModel
-        levels, blur: least squares of the labels' coverage, blurred, against the scan. noise,
-        grain: standard deviation and autocorrelation along the axes of voxels some way inside each
-        phase; the structure within a phase counts as noise. cupping: of the bright phase. rings:
-        what means along circles about the axis scatter more than about other points.
+        levels, blur, inset: least squares of the labels' coverage, blurred, against the scan.
+        noise, grain: standard deviation and autocorrelation along the axes of voxels some way
+        inside each phase; the structure within a phase counts as noise. cupping: of the bright
+        phase. rings: what means along circles about the axis scatter more than about other points.
 
     Raises
     ------
@@ -400,8 +433,8 @@ def fit_scan(scan: Image, labels: Image | None = None) -> ScanModel:
     grey = scan.values.astype(np.float64).reshape(lift + scan.shape)
     known = labels.values.reshape(grey.shape)
     count = len(labels.phases)
-    shares = coverage(known, count)
-    blur, levels = _fit_blur(grey, shares)
+    blur, inset, levels = _fit_edges(*_middle(grey, known), count)
+    shares = coverage(known, _insets(levels, inset))
     insides = [_inside(known == phase, levels[phase] == max(levels)) for phase in range(count)]
     for phase, inside in enumerate(insides):
         if np.count_nonzero(inside) < 100:
@@ -428,6 +461,7 @@ def fit_scan(scan: Image, labels: Image | None = None) -> ScanModel:
         grain,
         cupping,
         rings,
+        inset,
         scan.values.dtype.name if scan.values.dtype.name in TYPES else "float32",
     )
 
@@ -441,18 +475,41 @@ def _inside(inside: np.ndarray, bright: bool) -> np.ndarray:
     return np.asarray(distance > far)
 
 
-def _fit_blur(grey: np.ndarray, shares: list[np.ndarray]) -> tuple[float, list[float]]:
-    """Return the sigma and the levels that leave the least squares."""
-    best = (np.inf, 0.0, [0.0])
+def _middle(grey: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the middle of a scan and its labels, which says enough of edges."""
+    box = tuple(
+        slice(max((side - _FITTED) // 2, 0), max((side - _FITTED) // 2, 0) + _FITTED)
+        for side in grey.shape
+    )
+    return grey[box], labels[box]
+
+
+def _fit_edges(
+    grey: np.ndarray, labels: np.ndarray, count: int
+) -> tuple[float, float, list[float]]:
+    """Return the blur, the inset and the levels that leave the least squares: blur and inset in
+    turn, with the levels that belong to each pair.
+    """
     target = grey.ravel()
-    for sigma in _SIGMAS:
-        matrix = np.stack([gaussian(share, float(sigma)).ravel() for share in shares], axis=1)
-        matrix = matrix.astype(np.float64)
-        levels = np.linalg.solve(matrix.T @ matrix, matrix.T @ target)
-        error = float(np.mean((target - matrix @ levels) ** 2))
-        if error < best[0]:
-            best = (error, round(float(sigma), 3), levels.tolist())
-    return best[1], best[2]
+    bright = [float(grey[labels == phase].mean()) for phase in range(count)]
+    distances = [_distance(labels == phase) for phase in range(count)]
+    tried: dict[tuple[float, float], tuple[float, list[float]]] = {}
+
+    def error(blur: float, inset: float) -> float:
+        if (blur, inset) not in tried:
+            shares = _shares(labels, distances, _insets(bright, inset))
+            columns = [gaussian(share, blur).ravel() for share in shares]
+            matrix = np.stack(columns, axis=1).astype(np.float64)
+            levels = np.linalg.lstsq(matrix.T @ matrix, matrix.T @ target, rcond=None)[0]
+            left = float(np.mean((target - matrix @ levels) ** 2))
+            tried[blur, inset] = (left, levels.tolist())
+        return tried[blur, inset][0]
+
+    blur = inset = 0.0
+    for _ in range(3):
+        blur = min(_SIGMAS, key=lambda sigma: error(sigma, inset))
+        inset = min(_INSETS, key=lambda shift: error(blur, shift))
+    return blur, inset, tried[blur, inset][1]
 
 
 def _fit_noise(grey: np.ndarray, inside: np.ndarray) -> tuple[float, Taps]:
