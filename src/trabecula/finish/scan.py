@@ -18,7 +18,7 @@ far, so any slab of a volume comes out as in the whole.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -507,9 +507,15 @@ def _fit_edges(
 
     blur = inset = 0.0
     for _ in range(3):
-        blur = min(_SIGMAS, key=lambda sigma: error(sigma, inset))
-        inset = min(_INSETS, key=lambda shift: error(blur, shift))
+        blur = _least(_SIGMAS, lambda sigma: error(sigma, inset))
+        inset = _least(_INSETS, lambda shift: error(blur, shift))
     return blur, inset, tried[blur, inset][1]
+
+
+def _least(values: Sequence[float], error: Callable[[float], float]) -> float:
+    """Return the value of least error: of every third one, then of those beside the best."""
+    at = min(range(0, len(values), 3), key=lambda k: error(values[k]))
+    return min(values[max(at - 2, 0) : at + 3], key=error)
 
 
 def _fit_noise(grey: np.ndarray, inside: np.ndarray) -> tuple[float, Taps]:
