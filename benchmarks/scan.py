@@ -18,7 +18,7 @@ from trabecula.finish import ScanModel, fit_scan, scan
 from trabecula.measure.smooth import gaussian
 
 CASES = {"bone": "trabecular_bone_grey_lhdl.tif"}
-VOXELS = 60_000
+VOXELS = 30_000
 """Voxels that a segmenter is trained on."""
 
 SEEDS = (0, 1, 2)

@@ -8,7 +8,9 @@
 3. Beam hardening: values fall towards the axis (cupping), as 1 - c (1 - r^2 / R^2), R half the
    shorter side across the axis.
 4. Noise, normal, of a standard deviation and a spectrum for every phase: white noise convolved
-   along each axis with the symmetric square root of its autocovariance.
+   along each axis with the symmetric square root of its autocovariance. The noise of the quietest
+   phase is the scanner's, and is everywhere; what others have beyond it is their own structure,
+   and fades towards their interface.
 5. Rings about the axis: a number for every slice and radius.
 6. Rounded and cut off at the ends of the type.
 
@@ -297,10 +299,17 @@ def scan_slab(labels: np.ndarray, model: ScanModel, seed: int, start: int, stop:
         far = np.minimum(radius / (side / 2), 1).astype(np.float32)
         grey *= 1 - np.float32(model.cupping) * (1 - far * far)
     inner = slice(halo, halo + stop - start)
-    white = _white(labels.shape, seed, start, stop)
-    for share, noise, taps in zip(shares, model.noise, model.grain, strict=True):
-        if noise:
-            grey += share[inner] * np.float32(noise) * _filter(white, taps)
+    quiet = int(np.argmin(model.noise))
+    least = model.noise[quiet]
+    if least:
+        white = _white(labels.shape, seed, "noise", start, stop)
+        grey += np.float32(least) * _filter(white, model.grain[quiet])
+    for phase, share in enumerate(shares):
+        more = np.sqrt(max(model.noise[phase] ** 2 - least**2, 0.0))
+        if more:
+            white = _white(labels.shape, seed, f"structure/{phase}", start, stop)
+            depth = (2 * share[inner] - 1).clip(0, 1)
+            grey += depth * np.float32(more) * _filter(white, model.grain[phase])
     if model.rings:
         grey += _rings(labels.shape, radius, seed, start, stop) * np.float32(model.rings)
     return grey
@@ -353,12 +362,12 @@ def _radius(shape: Sequence[int]) -> np.ndarray:
     return np.hypot(y[:, None], x).astype(np.float32)
 
 
-def _white(shape: Sequence[int], seed: int, start: int, stop: int) -> np.ndarray:
+def _white(shape: Sequence[int], seed: int, what: str, start: int, stop: int) -> np.ndarray:
     """Return white noise of slices start..stop with `_TAPS` voxels more on every side."""
     sides = (stop - start + 2 * _TAPS, shape[1] + 2 * _TAPS, shape[2] + 2 * _TAPS)
     cells = np.empty((1, *sides), np.float32)
     corner = np.array([start - _TAPS, -_TAPS, -_TAPS], np.int64)
-    normal_cells(cells, key(seed, "scan/noise"), corner, np.zeros(3, np.int64), quantiles())
+    normal_cells(cells, key(seed, f"scan/{what}"), corner, np.zeros(3, np.int64), quantiles())
     return cells[0]
 
 
@@ -507,8 +516,8 @@ def _fit_edges(
 
     blur = inset = 0.0
     for _ in range(3):
-        blur = _least(_SIGMAS, lambda sigma: error(sigma, inset))
-        inset = _least(_INSETS, lambda shift: error(blur, shift))
+        blur = _least(_SIGMAS, lambda sigma, inset=inset: error(sigma, inset))
+        inset = _least(_INSETS, lambda shift, blur=blur: error(blur, shift))
     return blur, inset, tried[blur, inset][1]
 
 
