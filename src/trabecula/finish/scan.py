@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -516,8 +517,8 @@ def _fit_edges(
 
     blur = inset = 0.0
     for _ in range(3):
-        blur = _least(_SIGMAS, lambda sigma, inset=inset: error(sigma, inset))
-        inset = _least(_INSETS, lambda shift, blur=blur: error(blur, shift))
+        blur = _least(_SIGMAS, partial(error, inset=inset))
+        inset = _least(_INSETS, partial(error, blur))
     return blur, inset, tried[blur, inset][1]
 
 
