@@ -10,7 +10,7 @@ endif
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --durations 20
 
-.PHONY: demo test test-all test-extras test-soak coverage test-learn test-types test-cluster test-remote test-peers test-solvers test-printers test-newest test-matrix mutants fuzz check docs gallery bench wheel clean
+.PHONY: demo test test-all test-extras test-soak coverage test-learn test-types test-cluster test-remote test-peers test-napari test-solvers test-printers test-newest test-matrix mutants fuzz check docs gallery bench wheel clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -49,6 +49,9 @@ test-remote: $(VENV)/dev.stamp $(VENV)/remote.stamp   ## the tests that need an 
 
 test-peers: $(VENV)/dev.stamp $(VENV)/peers.stamp   ## packages of the field take an image as an array, and are oracles: they are installed, 1.5 GB
 	$(BIN)/python -m pytest tests/peers
+
+test-napari: $(VENV)/dev.stamp $(VENV)/napari.stamp   ## the plugin of napari without a screen, and DICOM and HDF5, which `make test` skips where they are not installed
+	QT_QPA_PLATFORM=offscreen $(BIN)/python -m pytest -rs tests/napari tests/io/test_readers.py
 
 test-solvers: $(VENV)/dev.stamp     ## CalculiX and OpenFOAM solve what is exported: apt-get installs them where it may, else the tests are skipped with a reason
 	@(which ccx && which simpleFoam) >/dev/null 2>&1 || apt-get install --yes --no-install-recommends calculix-ccx openfoam || echo "not installed: see the reasons of the skips"
@@ -118,6 +121,10 @@ $(VENV)/remote.stamp: $(VENV)/base.stamp requirements/remote.txt
 
 $(VENV)/peers.stamp: $(VENV)/base.stamp requirements/peers.txt
 	$(BIN)/python -m pip install --quiet --requirement requirements/peers.txt
+	touch $@
+
+$(VENV)/napari.stamp: $(VENV)/base.stamp requirements/napari.txt
+	$(BIN)/python -m pip install --quiet --requirement requirements/napari.txt
 	touch $@
 
 $(VENV)/docs.stamp: $(VENV)/base.stamp requirements/docs.txt

@@ -41,6 +41,7 @@ import noise
 import novelty_blind
 import papers
 import printing
+import scan
 import texture
 import texture_figures
 import texture_speed
@@ -81,6 +82,7 @@ def measures() -> None:
 
 
 CASES: dict[str, Callable[[], None]] = {
+    "scan": scan.segmenters,
     "texture_fidelity": texture.fidelity,
     "texture_materials": texture.materials,
     "texture_novelty": texture.novelty,

@@ -216,6 +216,7 @@ Settings that are given as well replace the preset's.
 def formats_page() -> str:
     """Return the page of the suffixes that are read and written."""
     from trabecula.io.formats import SLICES, suffixes
+    from trabecula.io.readers import readers
     from trabecula.mesh.bricks.formats import FORMATS as BRICKS
     from trabecula.mesh.formats import FORMATS, READABLE
 
@@ -228,6 +229,10 @@ def formats_page() -> str:
         (f"`{suffix}`", "read, written" if suffix in FORMATS else "read (extra `mesh`)", form.note)
         for suffix, form in READABLE.items()
     ]
+    alone = [
+        (" ".join(f"`{one}`" for one in reader.suffixes), reader.name, reader.extra, reader.note)
+        for reader in readers()
+    ]
     bricks = [(f"`{suffix}`", form.note, ", ".join(form.cases)) for suffix, form in BRICKS.items()]
     return f"""# Formats
 
@@ -236,6 +241,12 @@ How they are used: [read and write formats](../howto/formats.md).
 ## Volumes and pictures, read and written
 
 {table(("suffix", "format", "note"), volumes)}
+
+## Read alone
+
+Of scanners and solvers; also folders of a DICOM series, and the logs of Bruker and Nikon beside slices.
+
+{table(("suffix", "format", "extra", "note"), alone)}
 
 ## Surfaces
 

@@ -54,7 +54,7 @@ def scans(tmp_path_factory, bone):
     np.save(folder / "line.npy", good[12, 12])
     np.save(folder / "film.npy", np.stack([good, good]))
     np.save(folder / "none.npy", good[:0])
-    (folder / "scan.dicom").write_bytes(b"DICM")
+    (folder / "scan.xyz").write_bytes(b"DICM")
     (folder / "scan.txt").write_text("a scan")
     (folder / "file.zarr").write_text("precious")
     with pytest.MonkeyPatch.context() as patch:
@@ -106,7 +106,7 @@ UNREADABLE = [
     ("line.npy", "2 or 3 axes"),
     ("film.npy", "2 or 3 axes"),
     ("none.npy", "none.npy"),
-    ("scan.dicom", "unknown suffix '.dicom'"),
+    ("scan.xyz", "unknown suffix '.xyz'"),
     ("scan.txt", "unknown suffix '.txt'"),
     ("x" * 300 + ".npy", "name too long"),
     ("", ""),

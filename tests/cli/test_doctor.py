@@ -1,6 +1,7 @@
 """`trabecula doctor` on whole and broken installations."""
 
 import json
+import re
 import subprocess
 import sys
 import tomllib
@@ -27,7 +28,7 @@ def test_its_packages_are_those_of_the_project():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
     def names(lines):
-        return {line.split(">")[0].split("=")[0] for line in lines}
+        return {re.split(r"[>=\[]", line)[0] for line in lines}
 
     assert names(project["dependencies"]) == set(doctor.BASE)
     extras = project["optional-dependencies"]

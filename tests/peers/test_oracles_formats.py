@@ -83,6 +83,27 @@ def test_ome_zarr_reads_a_store(tmp_path):
     assert scale == pytest.approx(SPACING)
 
 
+@pytest.mark.parametrize("kind", ["labels", "grey", "colour", "picture"])
+def test_ome_zarr_models_validates_a_store(kind, tmp_path):
+    """Of every kind, with coarser levels beside the voxels: the schema of OME-Zarr 0.5."""
+    models = pytest.importorskip("ome_zarr_models")
+    zarr = pytest.importorskip("zarr")
+    rng = np.random.default_rng(2)
+    image = {
+        "labels": tb.Image(rng.integers(0, 2, (20, 21, 22)), "labels", SPACING, "um"),
+        "grey": tb.Image(GREY.values, "grey", SPACING, "um"),
+        "colour": tb.Image(rng.integers(0, 255, (5, 6, 7, 3), np.uint8), "colour", SPACING, "um"),
+        "picture": tb.Image(rng.random((8, 9)), "grey", SPACING[1:], "um"),
+    }[kind]
+    path = tb.write(image, tmp_path / "x.zarr")
+    found = models.open_ome_zarr(zarr.open_group(path, mode="r"), version="0.5")
+    assert type(found).__name__ == "Image"
+    (multiscale,) = found.attributes.ome.multiscales
+    axes = [(axis.name, axis.type, axis.unit) for axis in multiscale.axes]
+    space = [(name, "space", "micrometer") for name in "zyx"[-image.ndim :]]
+    assert axes == [("c", "channel", None)] * (kind == "colour") + space
+
+
 def test_tifffile_and_imageio_read_a_stack(tmp_path):
     tifffile = pytest.importorskip("tifffile")
     imageio = pytest.importorskip("imageio.v3")

@@ -395,3 +395,27 @@ def test_azimuth_carries_the_viewer_to_the_right():
 def test_what_lies_at_the_threshold_is_drawn():
     grey = tb.Image(np.array([[[4, 5, 6]]]), "grey")
     assert _as_drawable(grey, 5).values.tolist() == [[[0, 1, 1]]]
+
+
+def test_a_field_colours_what_is_drawn():
+    """A ramp along x: dark to the left, yellow to the right; every other volume is unchanged."""
+    cube = tb.Image(np.ones((24, 24, 24), bool), "labels", unit="um")
+    field = tb.fields.ramp((24, 24, 24), axis="x", start=-3, end=5)
+    given = {"size": (320, 240), "cut": "none", "camera": (0, 0)}
+    still = tb.render(cube, field=field, **given)
+    across = still.values[80:120].astype(float).mean(axis=0)
+    inside = np.abs(across - BACKGROUND).max(axis=1) > 40
+    left, right = across[inside][4], across[inside][-5]
+    assert left[2] > left[1] and right[0] > right[2] + 60 and right[1] > left[1] + 60
+    legend = still.values[-60:, 200:]
+    assert len(np.unique(legend.reshape(-1, 3), axis=0)) > 40
+    plain = tb.render(cube, **given)
+    assert "field" not in plain.recipe.steps[-1]
+    clipped = tb.render(cube, field=field, limits=(5, 6), **given)
+    flat = clipped.values[80:120, 100:200].reshape(-1, 3)
+    assert flat.std(axis=0).max() < 2  # all in the first colour
+    for wrong in (cube, tb.fields.ramp((24, 24, 12), start=0, end=1)):
+        with pytest.raises(InputError, match="grey Image of the volume's shape"):
+            tb.render(cube, field=wrong)
+    with pytest.raises(InputError, match="do not rise"):
+        tb.render(cube, field=field, limits=(1, 1))

@@ -36,6 +36,9 @@ EXTRAS = {
     "mesh": ("trimesh",),
     "completion": ("shtab",),
     "remote": ("fsspec", "s3fs"),
+    "napari": ("napari",),
+    "dicom": ("pydicom",),
+    "hdf5": ("h5py",),
 }
 """Packages of every extra; their modules have the same names."""
 

@@ -19,6 +19,7 @@ KINDS = {
     "picture": "drawn: black is --low, white is --high",
     "interpolate": "from values at points, by inverse distance",
     "simp": "the density of the stiffest part under its loads",
+    "import": "of a solver's result: an array of its mesh on the voxels of an image",
 }
 
 
@@ -319,6 +320,58 @@ def _simp(fields: Any, options: argparse.Namespace) -> Any:
     return fields.resample(field, shared.integers(options.shape, name="--shape"))
 
 
+def _add_import(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "file", metavar="RESULT", help="what a solver wrote: .vtu, .vti, .vtk, or .frd of CalculiX"
+    )
+    parser.add_argument(
+        "--like", required=True, metavar="FILE", help="volume whose voxels the field is to have"
+    )
+    parser.add_argument(
+        "--array", metavar="NAME", help="array of the result (default: the only one)"
+    )
+    parser.add_argument(
+        "--component",
+        metavar="WORD",
+        help="x, y, z or magnitude of a vector; xx, yy, zz, xy, yz, xz, mises, mean, largest or "
+        "smallest (principal) of a tensor; or a number from 0",
+    )
+    parser.add_argument(
+        "--unit",
+        metavar="UNIT",
+        help="of the result's coordinates (default: that of --like; of OpenFOAM m)",
+    )
+    parser.add_argument(
+        "--fill",
+        default="0",
+        metavar="V",
+        help="value outside of the mesh (default 0), or extend: the values near by",
+    )
+    parser.add_argument(
+        "--range",
+        nargs=2,
+        metavar=("LOW", "HIGH"),
+        help="spread the field over this range, as a target needs it: its least value becomes LOW",
+    )
+
+
+def _import(fields: Any, options: argparse.Namespace) -> Any:
+    from trabecula.pipeline.inputs import load
+
+    field = fields.import_result(
+        options.file,
+        like=load(options.like),
+        array=options.array,
+        component=options.component,
+        file_unit=options.unit,
+        fill=options.fill if options.fill == "extend" else _number(options.fill, "--fill"),
+    )
+    if options.range:
+        low, high = (_number(word, "--range") for word in options.range)
+        field = fields.rescale(field, low=low, high=high)
+    return field
+
+
 _ARGUMENTS = {
     "measure": _add_measure,
     "density": _add_density,
@@ -328,6 +381,7 @@ _ARGUMENTS = {
     "picture": _add_picture,
     "interpolate": _add_interpolate,
     "simp": _add_simp,
+    "import": _add_import,
 }
 _MAKERS = {
     "measure": _measure,
@@ -338,4 +392,5 @@ _MAKERS = {
     "picture": _picture,
     "interpolate": _interpolate,
     "simp": _simp,
+    "import": _import,
 }

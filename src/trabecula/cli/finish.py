@@ -14,6 +14,15 @@ from trabecula.core.progress import notify
 if TYPE_CHECKING:
     from trabecula.finish.operations import Option
 
+_SCAN = {
+    "blur": "sigma of the point-spread function, voxels (default: as of --like, else 0.8)",
+    "cupping": "share by which values fall on the axis z, beam hardening (default: as of --like, "
+    "else 0)",
+    "rings": "standard deviation of rings about that axis, grey levels (default: as of --like, "
+    "else 0)",
+}
+"""Settings of `--scan`."""
+
 Step = tuple[str, dict[str, Any]]
 """Name of an operation and its settings."""
 
@@ -56,6 +65,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             group = parser.add_argument_group(f"for {operation.option.flag}")
             for option in operation.more:
                 _add_option(group, option)
+    group = parser.add_argument_group("as scanned: after all else")
+    group.add_argument(
+        "--scan",
+        action="store_true",
+        help="write the grey scan of the labels that a scanner would give: partial volume, blur, "
+        "noise; --like SCAN: as that real grey scan",
+    )
+    group.add_argument("--seed", metavar="N", help="of the noise (default 0)")
+    for name, text in _SCAN.items():
+        group.add_argument(f"--{name}", metavar="V", help=text)
     shared.add_lengths(parser)
     group = parser.add_argument_group("large volumes")
     shared.add_memory(
@@ -105,8 +124,17 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.finish import OPERATIONS
     from trabecula.pipeline.outputs import check_target
 
-    if options.like is not None and not options.prune:
-        raise InputError("--like is the exemplar for --prune: give --prune as well")
+    if options.like is not None and not (options.prune or options.scan):
+        raise InputError(
+            "--like is the exemplar for --prune, or the scan for --scan: give one of these as well"
+        )
+    if options.like is not None and options.prune and options.scan:
+        raise InputError(
+            "--like is for --prune or for --scan: finish first, then --scan the result"
+        )
+    for name in ("seed", *_SCAN):
+        if getattr(options, name) is not None and not options.scan:
+            raise InputError(f"--{name} is for --scan: give --scan as well")
     if options.mask is not None and not _takes_mask(options):
         raise InputError(f"--mask is the form for {_flags_with_mask()}: give one of them as well")
     if options.crust is not None and options.fill:
@@ -121,7 +149,7 @@ def run(options: argparse.Namespace) -> int:
     if options.printer is not None:
         _fit_printer(options)
     steps = list(_steps(options))
-    if not steps:
+    if not steps and not options.scan:
         every = [operation.option for operation in OPERATIONS.values()]
         words = ", ".join(" ".join(filter(None, (one.flag, one.metavar))) for one in every)
         raise InputError(f"nothing to do: give --connect, or another of {words}")
@@ -192,7 +220,7 @@ def _in_core(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, S
     scale = given.pop("scale")
     part = with_lengths(read(options.file, level=options.level), **given)
     images: dict[str, Any] = {}
-    if options.like is not None:
+    if options.like is not None and not options.scan:
         images["exemplar"] = with_lengths(load_like(options.like, part), scale=scale)
     form = _form(part, options)
     if form is not None:
@@ -204,8 +232,27 @@ def _in_core(steps: Sequence[Step], options: argparse.Namespace) -> tuple[str, S
         if any(periodic) and "periodic" in OPERATIONS[name].complete({}):
             inputs["periodic"] = periodic
         part = OPERATIONS[name](part, phase=options.phase, **settings, **inputs)
+    count = len(steps)
+    if options.scan:
+        part, count = _scan(part, options), count + 1
     write(part, options.out)
-    return repr(part), part.recipe.steps[-len(steps) :]
+    return repr(part), part.recipe.steps[-count:]
+
+
+def _scan(part: Any, options: argparse.Namespace) -> Any:
+    """Return the grey scan of labels, as --like and the settings say."""
+    from trabecula.finish import scan
+    from trabecula.pipeline.inputs import load
+
+    settings: dict[str, Any] = {
+        name: shared.numbers([word], name=f"--{name}")[0]
+        for name in _SCAN
+        if (word := getattr(options, name)) is not None
+    }
+    if options.like is not None:
+        settings["like"] = load(options.like, threshold="none")
+    seed = 0 if options.seed is None else shared.integer(options.seed, name="--seed")
+    return scan(part, seed=seed, **settings)
 
 
 def _periodic(part: Any, options: argparse.Namespace) -> tuple[bool, ...]:
@@ -268,7 +315,7 @@ def _is_too_large(steps: Sequence[Step], options: argparse.Namespace) -> bool:
     shape = volume_shape(options.file, level=options.level)
     names = [name for name, _ in steps]
     budget = available_memory() if options.memory is None else options.memory
-    if shape is None or in_core_bytes(shape, names) <= budget:
+    if shape is None or options.scan or in_core_bytes(shape, names) <= budget:
         return False
     operations = [OPERATIONS[name] for name in names]
     whole = [one.option.flag for one in operations if one.in_place is None]

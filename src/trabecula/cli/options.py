@@ -36,6 +36,11 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
         help="keep a central box of the exemplar; auto: cut off margins without material",
     )
     group.add_argument(
+        "--dataset",
+        metavar="NAME",
+        help="of a file with several arrays (HDF5, .vti, .vtu, DICOM series): the name of one",
+    )
+    group.add_argument(
         "--level",
         dest="halvings",
         type=int,
@@ -341,6 +346,7 @@ def reading(options: argparse.Namespace) -> dict[str, Any]:
         "unit": options.unit,
         "phases": options.phases,
         "level": options.halvings or None,
+        "dataset": options.dataset,
     }
     found = {name: value for name, value in given.items() if value is not None}
     if options.spacing:

@@ -8,6 +8,7 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import view_input
+from trabecula.core.errors import InputError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,6 +46,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--turntable", metavar="N", help="a moving picture of N stills all round (.gif)"
     )
+    parser.add_argument(
+        "--field",
+        metavar="FILE",
+        help="colour what is drawn by a field of its shape (trabecula field), with a legend",
+    )
+    parser.add_argument(
+        "--limits",
+        nargs=2,
+        metavar=("LOW", "HIGH"),
+        help="values of the field's first and last colour (default: its 1st and 99th percentile)",
+    )
     view_input.add_memory(parser)
     shared.add_reading(parser)
 
@@ -76,6 +88,15 @@ def run(options: argparse.Namespace) -> int:
         "cut": options.cut[0] if len(options.cut) == 1 else options.cut,
         "camera": (azimuth, elevation),
     }
+    if options.field is not None:
+        from trabecula.pipeline.inputs import load
+
+        if frames is not None:
+            raise InputError("--field colours a still: leave --turntable out")
+        wanted["field"] = load(options.field, threshold="none")
+    if options.limits is not None:
+        low, high = shared.numbers(options.limits, name="--limits")
+        wanted["limits"] = (low, high)
     if frames is None:
         render(image, options.out, **wanted)
     else:

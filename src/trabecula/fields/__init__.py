@@ -12,6 +12,7 @@ from trabecula.fields.density import density_like
 from trabecula.fields.grid import formula, picture, radial, ramp
 from trabecula.fields.interpolate import fill, interpolate, resample, rescale
 from trabecula.fields.local import directions, measure, windowed
+from trabecula.fields.solver_result import import_result
 from trabecula.fields.topology import case, simp
 
 # By their names in a recipe's step, so that it can be replayed.
@@ -29,6 +30,7 @@ FROM_NOTHING: dict[str, Callable[..., Image]] = {
     "formula": formula,
     "interpolate": interpolate,
     "simp": simp,
+    "import_result": import_result,
 }
 
 __all__ = [
@@ -39,6 +41,7 @@ __all__ = [
     "directions",
     "fill",
     "formula",
+    "import_result",
     "interpolate",
     "measure",
     "picture",

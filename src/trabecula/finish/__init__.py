@@ -13,6 +13,7 @@ from trabecula.finish.forms import mask_steps, periodic_axes
 from trabecula.finish.operations import OPERATIONS
 from trabecula.finish.printing import PrintCheck, print_check
 from trabecula.finish.prune import prune
+from trabecula.finish.scan import ScanModel, fit_scan, scan
 from trabecula.finish.slabs import finish_slabs
 from trabecula.finish.smooth import smooth
 from trabecula.finish.thicken import thicken
@@ -20,17 +21,20 @@ from trabecula.finish.thicken import thicken
 __all__ = [
     "OPERATIONS",
     "PrintCheck",
+    "ScanModel",
     "add_crust",
     "connect",
     "drain",
     "fill_trapped",
     "finish_slabs",
+    "fit_scan",
     "mask_steps",
     "mend_contacts",
     "periodic_axes",
     "print_check",
     "prune",
     "remove_floaters",
+    "scan",
     "smooth",
     "thicken",
     "trapped",

@@ -12,9 +12,10 @@ from trabecula.core.checks import as_number, as_path_text
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.storage import Remote, path_or_remote
-from trabecula.io.formats import SLICES, ZARR, Format, format_of, suffix_of
+from trabecula.io.formats import SLICES, ZARR, Format, format_of, suffix_of, suffixes
 from trabecula.io.guard import check_there
 from trabecula.io.meaning import interpret
+from trabecula.io.readers import Reader, reader_of, recognise
 
 
 def read(
@@ -25,6 +26,7 @@ def read(
     unit: str | None = None,
     phases: Sequence[str] | None = None,
     level: int = 0,
+    dataset: str | None = None,
 ) -> Image:
     """Read a volume or a picture.
 
@@ -36,9 +38,9 @@ def read(
     Parameters
     ----------
     path : path or address
-        A file of a known suffix (`trabecula.io.formats.suffixes`), a Zarr store, or a folder of
-        slices; of a Zarr store also an address that fsspec knows, such as s3://bucket/rock.zarr
-        (needs the extra remote).
+        A file of a known suffix (`trabecula.io.formats.suffixes`, `trabecula.io.readers`), a Zarr
+        store, a folder of slices or of a DICOM series; of a Zarr store also an address that fsspec
+        knows, such as s3://bucket/rock.zarr (needs the extra remote).
     kind : {"labels", "grey", "colour"}, optional
     spacing : float or sequence of float, optional
         Edge of a voxel, one number or one per axis (z, y, x).
@@ -50,6 +52,9 @@ def read(
     level : int
         Of a Zarr store with coarser levels beside the voxels: 0 the finest, each further one of
         half the voxels along an axis.
+    dataset : str, optional
+        Of a file that holds several arrays (HDF5, .vti, .vtu, a folder of DICOM series): the name
+        of one. Default: the only one, or the one that the file marks.
 
     Returns
     -------
@@ -80,6 +85,12 @@ def read(
     form = _format_to_read(place)
     given = {"kind": kind, "spacing": spacing, "unit": unit, "phases": phases}
     options = {name: value for name, value in given.items() if value is not None}
+    if dataset is not None:
+        if not form.datasets:
+            raise InputError(f"{path} is {form.name}, which holds one array: leave the dataset out")
+        content = form.read(place, str(dataset))
+        options["dataset"] = str(dataset)
+        return interpret(content, source=os.fspath(path), options=options)
     if level == 0:
         return interpret(form.read(place), source=os.fspath(path), options=options)
     if not form.lazy:
@@ -91,10 +102,13 @@ def read(
     return interpret(content, source=os.fspath(path), options={**options, "level": level})
 
 
-def _format_to_read(path: Path | Remote) -> Format:
+def _format_to_read(path: Path | Remote) -> Format | Reader:
     if isinstance(path, Remote):
         return ZARR
     if not path.is_dir():
+        reader = reader_of(path) or (None if suffix_of(path) else recognise(path))
+        if reader is not None:
+            return reader
         form = format_of(path)
         if form.folder:
             raise FileError(
@@ -102,7 +116,9 @@ def _format_to_read(path: Path | Remote) -> Format:
             )
         return form
     if suffix_of(path) is None:
-        return ZARR if (path / "zarr.json").exists() else SLICES
+        if (path / "zarr.json").exists():
+            return ZARR
+        return SLICES if holds_slices(path) else recognise(path) or SLICES
     form = format_of(path)
     if not form.folder:
         raise FileError(
@@ -110,6 +126,12 @@ def _format_to_read(path: Path | Remote) -> Format:
             "or rename the folder"
         )
     return form
+
+
+def holds_slices(folder: Path) -> bool:
+    """Return whether a folder holds pictures."""
+    known = tuple(suffix for suffix, form in suffixes().items() if form.picture)
+    return any(entry.name.lower().endswith(known) for entry in folder.iterdir())
 
 
 def write(image: Image | ArrayLike, path: str | os.PathLike[str]) -> Path | Remote:

@@ -72,6 +72,8 @@ class Format:
         The format has fields of its own for the edge of a voxel, which other programs read.
     lossy : bool
         It changes voxels, so that a recipe in it does not describe them.
+    datasets : bool
+        A file may hold several arrays, and `read(path, name)` takes one.
     """
 
     name: str
@@ -84,6 +86,7 @@ class Format:
     picture: bool = False
     resolution: bool = True
     lossy: bool = False
+    datasets: bool = False
 
     def load(self) -> FormatModule:
         """Import the format's module."""
@@ -143,7 +146,13 @@ FORMATS = (
     Format("NRRD", (".nrrd",), "trabecula.io.nrrd", "gzip"),
     Format("NIfTI", (".nii",), "trabecula.io.nifti", "as medical tools read it"),
     Format("NIfTI", (".nii.gz",), "trabecula.io.nifti", "the same, gzip"),
-    Format("VTK ImageData", (".vti",), "trabecula.io.vti", "voxels as cells, zlib, for ParaView"),
+    Format(
+        "VTK ImageData",
+        (".vti",),
+        "trabecula.io.vti",
+        "voxels as cells, zlib, for ParaView",
+        datasets=True,
+    ),
     Format(
         "PNG",
         (".png",),

@@ -17,6 +17,7 @@ from trabecula.io import raster
 from trabecula.io.formats import format_of, suffixes
 from trabecula.io.guard import check_claim, check_dtype, report_damage
 from trabecula.io.metadata import FileContent, decode, encode, greys_of_labels, labels_of_greys
+from trabecula.io.scanner_logs import find_calibration
 
 _FIELDS = "trabecula.json"
 _OURS = re.compile(r"slice_\d+\.png|trabecula\.json")
@@ -65,6 +66,11 @@ def read(path: Path) -> FileContent:
         for z, name in enumerate(track(names, "reading slices")):
             values[z] = _alike(_plane(name) if z else first, first, name).values
         fields = _read_fields(path, shape)
+        log = find_calibration(path)
+        if log.spacing is not None and not fields:
+            return FileContent(
+                values, first.colour, spacing=log.spacing, unit=log.unit, origin=log.origin
+            )
         ignored = first.ignored
         if first.spacing is not None:
             ignored = (

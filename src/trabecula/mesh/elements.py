@@ -33,6 +33,8 @@ class Elements:
     phases : tuple of str
     unit : str
     recipe : Recipe
+    shape, spacing : tuple, (z, y, x), optional
+        Of the grid that bricks are the voxels of, with a corner at 0.
     """
 
     nodes: int
@@ -44,6 +46,8 @@ class Elements:
     phases: tuple[str, ...]
     unit: str
     recipe: Recipe
+    shape: tuple[int, ...] = ()
+    spacing: tuple[float, ...] = ()
 
 
 def write_parts(file: BinaryIO, size: int, parts: Iterator[np.ndarray]) -> None:

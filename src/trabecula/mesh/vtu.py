@@ -48,6 +48,7 @@ def _head(elements: Elements, starts: list[int], index: np.dtype) -> str:
     # A comment, not field data: of these some readers (meshio) know no text.
     about = {
         "unit": elements.unit,
+        **({"shape": elements.shape, "spacing": elements.spacing} if elements.shape else {}),
         "phases": elements.phases,
         "recipe": elements.recipe.to_json(),
     }

@@ -358,6 +358,8 @@ def _repeat_finish(image: Image | None, step: Mapping[str, Any], sources: Recipe
         settings["exemplar"] = _replay_steps(Recipe.from_json(steps), sources.inside("exemplar"))
     if "mask" in step:
         settings["mask"] = _replay_steps(Recipe.from_json(step["mask"]), sources.inside("mask"))
+    if step["operation"] == "scan":
+        return finish.scan(_require(image), **settings)
     return finish.OPERATIONS[step["operation"]](_require(image), **settings)
 
 
@@ -366,7 +368,19 @@ def _repeat_field(image: Image | None, step: Mapping[str, Any], sources: RecipeF
     if step["make"] in fields.FROM_AN_IMAGE:
         return fields.FROM_AN_IMAGE[step["make"]](_require(image), **settings)
     check_name(step["make"], fields.FROM_NOTHING, name="field of a recipe")
+    if "path" in settings:  # of a solver's result
+        settings["path"] = sources.find(settings["path"])
     return fields.FROM_NOTHING[step["make"]](**settings)
+
+
+def _repeat_render(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
+    names = ("look", "size", "phase", "camera", "cut", "threshold")
+    given = {name: step[name] for name in names}
+    if "field" in step:
+        inside = sources.inside("target")
+        given["field"] = _replay_steps(Recipe.from_json(step["field"]), inside)
+        given["limits"] = step["limits"]
+    return render(_require(image), **given)
 
 
 def _require(image: Image | None) -> Image:
@@ -397,8 +411,5 @@ _STEPS: dict[str, Callable[[Image | None, Mapping[str, Any], RecipeFiles], Image
     "generate": _repeat_generate,
     "finish": _repeat_finish,
     "field": _repeat_field,
-    "render": lambda image, step, sources: render(
-        _require(image),
-        **{name: step[name] for name in ("look", "size", "phase", "camera", "cut", "threshold")},
-    ),
+    "render": _repeat_render,
 }

@@ -19,6 +19,7 @@ from trabecula.core.image import Image, as_image
 from trabecula.engine.memory import Plan, check_budget
 from trabecula.engine.parallel import for_slabs
 from trabecula.view import kernels
+from trabecula.view.colouring import FieldColours, colour_by, draw_legend
 from trabecula.view.looks import (
     AMBIENCE,
     FILL,
@@ -240,6 +241,7 @@ class Scene:
     cut: Cut
     look: Look
     size: tuple[int, int]
+    colours: FieldColours | None = None
 
     @property
     def margin(self) -> int:
@@ -262,7 +264,8 @@ class Scene:
         """Return (H, W, 3) uint8 with its scale bar, and the edge of a pixel."""
         view = self.camera(angles, pixel)
         light = to_srgb(self.light(view))
-        return _with_bar(light, view.pixel, self.image.unit, self.look, self.margin), view.pixel
+        bar = _with_bar(light, view.pixel, self.image.unit, self.look, self.margin, self.colours)
+        return bar, view.pixel
 
     def light(self, view: Camera) -> np.ndarray:
         """Compute the linear light, (H, W, 3)."""
@@ -275,8 +278,8 @@ class Scene:
         light = np.zeros((self.size[1], self.size[0], 3))
         stretch = self.edges / self.edges.min()
         strength = np.array([LAMP_STRENGTH, AMBIENCE, FILL])
-        palette = _palette(self.image, self.look)
-        finishes = np.array([self.look.finish] * len(self.image.phases))
+        palette = _palette(self.image, self.look, self.colours)
+        finishes = np.array([self.look.finish] * (len(palette) - 3))
         rays = (view.in_voxels(self.edges), stretch, self.cut.box, self.cut.plane, all_round())
         given = (*self.volume, *rays, lights, strength, palette, finishes, SAMPLING)
         for_slabs(lambda first, last: kernels.march(*given, first, last, light), len(light))
@@ -291,6 +294,8 @@ def prepare_scene(
     cut: str | Sequence[str],
     size: tuple[int, int],
     threshold: float | None,
+    field: Image | None = None,
+    limits: Sequence[float] | None = None,
 ) -> tuple[Scene, tuple[float, float]]:
     """Check everything, then prepare the volume; the scene, and the angles of the camera."""
     drawable = _as_drawable(image, threshold)
@@ -303,8 +308,15 @@ def prepare_scene(
     )
     edges, viewer = np.array(drawable.spacing[::-1]), viewer_direction(*angles)
     opened = make_cut(words, drawable.shape[::-1], edges, viewer)
-    volume = prepare_volume(drawable.values, visible_phases(drawable, phase))
-    return Scene(drawable, volume, opened, chosen, (width, height)), angles
+    drawn = visible_phases(drawable, phase)
+    if field is None:
+        if limits is not None:
+            raise InputError("limits are of a field: give the field as well, or leave them out")
+        volume = prepare_volume(drawable.values, drawn)
+        return Scene(drawable, volume, opened, chosen, (width, height)), angles
+    colours = colour_by(drawable, drawn, field, limits)
+    volume = prepare_volume(colours.labels, range(1, len(colours.colours)))
+    return Scene(drawable, volume, opened, chosen, (width, height), colours), angles
 
 
 def forecast(shape: Sequence[int], size: tuple[int, int]) -> Plan:
@@ -345,9 +357,15 @@ def _as_size(size: tuple[int, int]) -> tuple[int, int]:
     return width, height
 
 
-def _palette(image: Image, look: Look) -> np.ndarray:
-    """Return linear colours: the background, the dye of cut faces, none, then every phase."""
-    fixed = to_linear([look.background, look.cut, (255, 255, 255)])
+def _palette(image: Image, look: Look, colours: FieldColours | None = None) -> np.ndarray:
+    """Return linear colours: the background, the dye of cut faces, none, then every phase, or every
+    band of a field, whose colours no dye changes.
+    """
+    none = (255, 255, 255)
+    if colours is not None:
+        fixed = to_linear([look.background, none, none])
+        return np.concatenate([fixed, to_linear(colours.colours)])
+    fixed = to_linear([look.background, look.cut, none])
     return np.concatenate([fixed, to_linear(phase_colours(image, look))])
 
 
@@ -356,14 +374,25 @@ def _letters(height: int) -> int:
     return max(12, height // 32)
 
 
-def _with_bar(values: np.ndarray, pixel: float, unit: str, look: Look, margin: int) -> np.ndarray:
+def _with_bar(
+    values: np.ndarray,
+    pixel: float,
+    unit: str,
+    look: Look,
+    margin: int,
+    colours: FieldColours | None = None,
+) -> np.ndarray:
     from PIL import Image as Pillow
     from PIL import ImageDraw
 
     picture = Pillow.fromarray(values)
     height, width = values.shape[:2]
+    canvas = ImageDraw.Draw(picture)
+    if colours is not None:
+        letters, ink = _letters(height), ink_on(look.background)
+        draw_legend(canvas, width - margin, height - margin, colours, ink=ink, size=letters)
     draw_bar(
-        ImageDraw.Draw(picture),
+        canvas,
         margin,
         height - margin,
         pixel=pixel,

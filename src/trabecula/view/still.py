@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -36,6 +37,8 @@ def render(
     camera: tuple[float, float] = (32.0, 26.0),
     cut: str | Sequence[str] = "corner",
     threshold: float | None = None,
+    field: Image | None = None,
+    limits: Sequence[float] | None = None,
 ) -> Image:
     """Render a still of a volume.
 
@@ -60,6 +63,11 @@ def render(
         (what lies beyond that share of the box in the direction of an azimuth and an elevation).
     threshold : float, optional
         Of a grey image: what lies at or above it is drawn.
+    field : Image, optional
+        Grey, of the image's shape: what is drawn takes its colours, and a legend names them (a
+        stress by `tb.fields.import_result`, a thickness).
+    limits : (low, high), optional
+        Values of its first and last colour. Default: the 1st and 99th percentile of what is drawn.
 
     Returns
     -------
@@ -70,18 +78,20 @@ def render(
     ------
     InputError
         Not a volume, colour, grey without threshold, unknown look, phase or cut, size or camera out
-        of range.
+        of range, a field of another shape.
     """
     check_suffix(path, ".png")
-    scene, angles = prepare_scene(image, look, phase, camera, cut, size, threshold)
+    scene, angles = prepare_scene(image, look, phase, camera, cut, size, threshold, field, limits)
     values, pixel = scene.picture(angles)
-    made = {
+    made: dict[str, Any] = {
         "look": look,
         "size": list(scene.size),
         "phase": phase,
         "camera": angles,
         "threshold": threshold,
     }
+    if field is not None and scene.colours is not None:
+        made |= {"field": field.recipe.to_json(), "limits": list(scene.colours.limits)}
     recipe = scene.image.recipe.then(
         "render", values, cut=cut if isinstance(cut, str) else list(cut), **made
     )

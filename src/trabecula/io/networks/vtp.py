@@ -47,7 +47,7 @@ def write(tables: Mapping[str, np.ndarray], path: Path) -> list[Path]:
 def _group(tables: Mapping[str, np.ndarray], member: str) -> dict[str, np.ndarray]:
     """Return the columns with the same first word, besides `member` itself."""
     word = member.partition(".")[0] + "."
-    return {name: values for name, values in tables.items() if name.startswith(word)} | {}
+    return {name: values for name, values in tables.items() if name.startswith(word)}
 
 
 def _after(count: int, values: np.ndarray) -> np.ndarray:

@@ -27,6 +27,8 @@ def write(grid: BrickGrid, path: Path, context: ExportContext) -> None:
         tuple(grid.volume.phases),
         context.unit,
         context.recipe,
+        grid.volume.shape,
+        grid.volume.spacing,
     )
     writers[context.suffix](elements, path)
 
