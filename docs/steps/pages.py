@@ -244,7 +244,8 @@ How they are used: [read and write formats](../howto/formats.md).
 
 ## Read alone
 
-Of scanners and solvers; also folders of a DICOM series, and the logs of Bruker and Nikon beside slices.
+Of scanners and solvers; also folders of a DICOM series, and the logs of Bruker and Nikon beside
+slices.
 
 {table(("suffix", "format", "extra", "note"), alone)}
 

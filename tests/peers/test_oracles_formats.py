@@ -167,7 +167,8 @@ def test_meshio_reads_bricks(suffix, tmp_path):
 
 
 def test_others_read_tetrahedra(tmp_path):
-    meshio, gmsh = pytest.importorskip("meshio"), pytest.importorskip("gmsh")
+    meshio = pytest.importorskip("meshio")
+    pytest.importorskip("gmsh")
     part = tb.Image(solid_part()[0].values, "labels", phases=("void", "a", "b"))
     ours = tb.tetrahedra(part)
     for suffix in (".vtu", ".msh", ".inp"):
@@ -175,12 +176,33 @@ def test_others_read_tetrahedra(tmp_path):
         sides = theirs.points[theirs.get_cells_type("tetra")]
         sizes = np.linalg.det(sides[:, 1:] - sides[:, :1]) / 6
         assert sizes.min() > 0 and sizes.sum() == pytest.approx(sum(ours.volume.values()), rel=1e-6)
+    nodes, groups = read_by_gmsh(tmp_path / "x.msh")
+    assert nodes == len(ours.points) and groups == [(3, 2), (3, 3)]
+
+
+def test_others_read_bricks_of_gmsh(tmp_path):
+    meshio = pytest.importorskip("meshio")
+    pytest.importorskip("gmsh")
+    part, counts, voxel = solid_part()
+    theirs = meshio.read(tb.export(part, tmp_path / "x.msh"))
+    bricks = theirs.get_cells_type("hexahedron")
+    edges = theirs.points[bricks[:, [1, 3, 4]]] - theirs.points[bricks[:, :1]]
+    np.testing.assert_allclose(np.linalg.det(edges), voxel, rtol=1e-6)
+    physical = theirs.cell_data_dict["gmsh:physical"]["hexahedron"]
+    assert [np.count_nonzero(physical == 1 + n) for n in (1, 2)] == counts[1:].tolist()
+    nodes, groups = read_by_gmsh(tmp_path / "x.msh")
+    assert nodes == len(theirs.points) and groups == [(3, 2), (3, 3)]
+
+
+def read_by_gmsh(path):
+    """Return the number of nodes and the physical groups that Gmsh finds."""
+    gmsh = pytest.importorskip("gmsh")
     gmsh.initialize()
     gmsh.option.setNumber("General.Terminal", 0)
-    gmsh.open(str(tmp_path / "x.msh"))
-    assert len(gmsh.model.mesh.getNodes()[0]) == len(ours.points)
-    assert gmsh.model.getPhysicalGroups() == [(3, 2), (3, 3)]
+    gmsh.open(str(path))
+    found = len(gmsh.model.mesh.getNodes()[0]), gmsh.model.getPhysicalGroups()
     gmsh.finalize()
+    return found
 
 
 def test_vtk_reads_bricks(tmp_path):
