@@ -51,7 +51,7 @@ test-peers: $(VENV)/dev.stamp $(VENV)/peers.stamp   ## packages of the field tak
 	$(BIN)/python -m pytest tests/peers
 
 test-napari: $(VENV)/dev.stamp $(VENV)/napari.stamp   ## the plugin of napari without a screen, and DICOM and HDF5, which `make test` skips where they are not installed
-	QT_QPA_PLATFORM=offscreen $(BIN)/python -m pytest -rs tests/napari tests/io/test_readers.py
+	QT_QPA_PLATFORM=offscreen $(BIN)/python -m pytest -rs tests/napari_plugin tests/io/test_readers.py
 
 test-solvers: $(VENV)/dev.stamp     ## CalculiX and OpenFOAM solve what is exported: apt-get installs them where it may, else the tests are skipped with a reason
 	@(which ccx && which simpleFoam) >/dev/null 2>&1 || apt-get install --yes --no-install-recommends calculix-ccx openfoam || echo "not installed: see the reasons of the skips"

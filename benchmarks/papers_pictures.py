@@ -190,13 +190,13 @@ def _form(found: dict[str, tb.Image]) -> tb.Image:
     """Foam in a form, figure 7: a cow, or a ball where there is no mesh."""
     path = SCANS / "mesh_spot.ply"
     if path.is_file():
-        form = fit_mesh(tb.read_mesh(path), shape=110, spacing=1.0)
+        form = fit_mesh(tb.read_mesh(path), shape=150, spacing=1.0)
         mask = tb.voxelise(form, spacing=1.0).values > 0
     else:
         places = np.indices((96,) * 3) - 47.5
         mask = np.sqrt((places**2).sum(axis=0)) < 47
     foam = tb.crop(found["sample foam"], 60)
-    upright = np.ascontiguousarray(mask.transpose(1, 0, 2)[::-1])
+    upright = np.ascontiguousarray(mask.transpose(1, 0, 2))
     return tb.finish.connect(
         tb.method("texture").fit(foam).generate(upright.shape, mask=upright, seed=0)
     )

@@ -42,6 +42,7 @@ _NAMES = {
     "method": "trabecula.synth.api.registry",
     "methods": "trabecula.synth.api.registry",
     "ensemble": "trabecula.pipeline.ensemble",
+    "match_property": "trabecula.pipeline.property_target",
     "choose_settings": "trabecula.pipeline.trials",
     "load_model": "trabecula.synth.api.serialize",
     "load": "trabecula.pipeline.inputs",

@@ -30,6 +30,7 @@ from trabecula.mesh.voxels import voxelise as voxelise
 from trabecula.pipeline.ensemble import ensemble as ensemble
 from trabecula.pipeline.inputs import load as load
 from trabecula.pipeline.outputs import export as export
+from trabecula.pipeline.property_target import match_property as match_property
 from trabecula.pipeline.replay import rerun as rerun
 from trabecula.pipeline.trials import choose_settings as choose_settings
 from trabecula.report.certificate import verify as verify
@@ -62,6 +63,7 @@ __all__ = [
     "labels",
     "load",
     "load_model",
+    "match_property",
     "measure",
     "mesh",
     "method",

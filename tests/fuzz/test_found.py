@@ -10,12 +10,12 @@ import nibabel
 import numpy as np
 import pytest
 from crafted import zeros
-from specimens import FACES, LABELS, TETRAHEDRON
+from specimens import FACES, FLOATS, LABELS, TETRAHEDRON
 
 import trabecula as tb
 from trabecula.engine.checkpoint import step_in
 from trabecula.engine.files import UNREADABLE, read_npz, write_npz
-from trabecula.errors import FileError, InputError
+from trabecula.errors import FileError, InputError, UnknownNameError
 
 THREEMF = '<model xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02">{}</model>'
 
@@ -122,4 +122,52 @@ def test_what_is_no_path_is_refused_by_every_reader(path):
 def test_what_is_no_phase_is_refused(phase):
     with pytest.raises(InputError, match="is neither a name nor a number") as refused:
         tb.measure.components(LABELS, phase=phase)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", [np.zeros(2), [], {}, None])
+def test_what_is_no_name_of_a_method_is_refused(name):
+    with pytest.raises(UnknownNameError, match="unknown method"):
+        tb.method(name)
+
+
+def test_a_spacing_of_other_axes_is_refused():
+    with pytest.raises(InputError, match="spacing"):
+        tb.measure.variance_of_means(np.zeros((1, 8, 8, 8)), (4, 4, 4), spacing=(1.0, 2.0))
+
+
+INSIDE = np.ones((4, 4, 4), bool)
+BLOCK = np.pad(np.ones((8, 8, 8), np.uint8), 4)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: tb.measure.signed_distance(INSIDE, clip=np.zeros(2)), "clip"),
+        (lambda: tb.write_layers(LABELS, "x", form="dlp", materials=np.zeros(2)), "materials is"),
+        (
+            lambda: tb.write_layers(
+                tb.Image(BLOCK, "labels", 0.1, "mm"), "x", form="svg", only=(1,)
+            ),
+            "no pair of layers",
+        ),
+        (lambda: tb.choose_settings(LABELS, LABELS, effort=2), "method is ndarray"),
+        (lambda: tb.measure.coating(LABELS, side=np.zeros(2)), "is no face"),
+        (lambda: tb.Request(8, mask=np.zeros((8, 8, 8), "M8[s]")), "are no voxels"),
+        (lambda: tb.measure.evenness(BLOCK, windows=4.0), "is no list"),
+        (lambda: tb.segment(3), "image is int"),
+        (lambda: tb.verify_ensemble(LABELS, [LABELS, LABELS], names=3), "names is int"),
+        (lambda: tb.verify(LABELS, LABELS, names=3), "names is int"),
+        (lambda: tb.measure.describe_physics(LABELS, halving=np.zeros(2)), "halving is"),
+        (lambda: tb.measure.confidence(LABELS, names=np.zeros(2)), "names is"),
+        (lambda: tb.measure.describe_texture(tb.Image(FLOATS, "grey"), lags=np.zeros(2)), "lags"),
+        (lambda: tb.measure.measure_property(LABELS, 3.0), "unknown property"),
+        (lambda: tb.measure.variance_of_means(np.zeros((1, 1, 1)), (4, 4)), "one voxel"),
+        (lambda: tb.inspect(LABELS, origin=0.5), "origin is float"),
+        (lambda: tb.render(LABELS, ("x", "y")), "is no path"),
+    ],
+)
+def test_arguments_of_another_type_are_refused(call, words):
+    with pytest.raises(InputError, match=words) as refused:
+        call()
     assert "\n" not in str(refused.value)

@@ -120,6 +120,8 @@ class GenerateTask:
     model: Any = None
     recommended: str = ""
     """A line that says which method was chosen, and why; empty where it was named."""
+    asked: Any = field(default_factory=dict)
+    """The property that is to be met by changing porosity; empty where none is."""
 
     def fit(self, *, memory: int | None) -> Any:
         """Return the model, which is learned where it is not given."""
@@ -160,11 +162,28 @@ def prepare(options: argparse.Namespace) -> GenerateTask:
     known = exemplars or ([without_exemplar(**voxel)] if model is None else list(model.facts))
     parts = shared.load_parts(options, known, shape, getattr((chosen or model).config, "views", ()))
     refined = parts.pop("shape", None)
+    asked = _take_properties(parts["target"])
     if shape is None:
         named = next((parts[name] for name in ("mask", "fixed") if name in parts), None)
         shape = refined if named is None else named.shape
     request = Request(shape, seed=seed, periodic=periodic, **parts)
-    return GenerateTask(request, chosen, exemplars, voxel, model, recommended)
+    return GenerateTask(request, chosen, exemplars, voxel, model, recommended, asked)
+
+
+def _take_properties(targets: dict[str, Any]) -> dict[str, Any]:
+    """Take the properties out of the targets, and return them."""
+    from trabecula.core.target import is_target
+
+    others = [name for name in targets if not is_target(name)]
+    if not others:
+        return {}
+    from trabecula.measure.properties import is_property
+    from trabecula.pipeline.property_target import as_property
+
+    asked = {name: targets.pop(name) for name in others if is_property(name)}
+    if asked:
+        as_property(asked)
+    return asked
 
 
 def _voxel(options: argparse.Namespace) -> dict[str, Any]:
@@ -255,6 +274,9 @@ def _generate(options: argparse.Namespace) -> Any:
     check_target(options.out, resumes=True)
     cluster = _cluster(options)
     job = _prepare(options)
+    if job.asked:
+        _check_match(options, job, cluster)
+        return _match(options, job, job.fit(memory=options.memory))
     model = job.fit(memory=options.memory)
     cut = {"memory": options.memory, "chunks": options.chunks}
     # What workers need is forecast when they are there and tell what they have.
@@ -269,6 +291,31 @@ def _generate(options: argparse.Namespace) -> Any:
     )
     _note_figures(model, job.request, made)
     return made
+
+
+def _check_match(options: argparse.Namespace, job: GenerateTask, cluster: Any) -> None:
+    """Raise where a property is asked for beside what is not made in memory."""
+    given = [name for name in ("chunks", "scratch") if getattr(options, name) is not None]
+    given += ["workers"] if cluster is not None else []
+    if given:
+        raise InputError(
+            f"--{given[0]} beside --target {next(iter(job.asked))}: what has a property is made "
+            "and measured in memory; leave the option out"
+        )
+
+
+def _match(options: argparse.Namespace, job: GenerateTask, model: Any) -> Any:
+    """Make what has the property that is asked for, in memory, and write it."""
+    from trabecula.engine.storage import path_or_remote
+    from trabecula.io import files
+    from trabecula.pipeline.generate import Result
+    from trabecula.pipeline.property_target import match_property
+
+    found = match_property(model, job.request, job.asked, memory=options.memory)
+    files.write(found.image, options.out)
+    terminal.note(str(found))
+    image = found.image
+    return Result(path_or_remote(options.out), image.shape, repr(image), image.recipe)
 
 
 def _note_figures(model: Any, request: Any, made: Any) -> None:
@@ -325,6 +372,11 @@ def _generate_members(options: argparse.Namespace) -> int:
     spread = shared.number(options.spread or "1", name="--spread")
     cluster = _cluster(options)
     job = _prepare(options)
+    if job.asked:
+        raise InputError(
+            f"--count beside --target {next(iter(job.asked))}: a property is met by one result; "
+            "find its porosity, then give --target porosity=P with --count"
+        )
     check_target(member_path(options.out, job.request), resumes=True)
     model = job.fit(memory=options.memory)
     members = draw_members(model, job.request, count=count, spread=spread)

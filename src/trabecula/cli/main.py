@@ -42,12 +42,16 @@ VERBS = {
 }
 
 
+_LONGEST = 1000  # characters of a complaint about arguments
+
+
 class Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line with the nearest known word."""
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong in one line, and leave with status 2."""
-        terminal.fail(f"{message} (see {self.prog} --help)")
+        shown = message if len(message) <= _LONGEST else f"{message[:_LONGEST]}..."
+        terminal.fail(f"{shown} (see {self.prog} --help)")
         raise SystemExit(2)
 
     # Here and not in `error`, since argparse would let the parser of all verbs complain, which

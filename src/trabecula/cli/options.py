@@ -165,8 +165,9 @@ def add_parts(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="descriptor that the result is to have: porosity=0.25, or volume_fraction=FILE (a "
-        "field of the result's shape)",
+        help="descriptor that the result is to have: porosity=0.25, volume_fraction=FILE (a field "
+        "of the result's shape), or one property that is met by changing porosity: "
+        "permeability=2e-6, stiffness:z=0.05, ... (the image's unit)",
     )
 
 

@@ -27,6 +27,11 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.engine.memory import Plan, available_memory, format_bytes
 
     job = prepare(options)
+    if job.asked:
+        terminal.note(
+            "the forecast is of one result: a property takes small trials, one to six results, and "
+            "what measuring them takes"
+        )
     learning = Plan() if job.method is None else job.method.plan_fit(job.exemplars)
     making = _making(job, options)
     peak = max(learning.peak, making.peak)

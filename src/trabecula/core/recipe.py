@@ -78,6 +78,8 @@ def digest_of(dtype: np.dtype, shape: Sequence[int], slabs: Iterable[np.ndarray]
     """Return the digest of an array of which not all is in memory: slabs along the first axis, in
     their order.
     """
+    if dtype.kind not in "biuf":
+        raise InputError(f"values of {dtype} are no voxels: give numbers")
     little = dtype.newbyteorder("<")
     digester = hashlib.sha256(f"{little.str.lstrip('<=|')}{tuple(shape)}".encode())
     for slab in slabs:

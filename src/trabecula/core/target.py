@@ -45,7 +45,7 @@ def as_target(given: Mapping[str, Any], shape: tuple[int, ...]) -> dict[str, Tar
         )
     found = {}
     for name, value in given.items():
-        if not (isinstance(name, str) and name.startswith(OF_A_PHASE) and name != OF_A_PHASE):
+        if not is_target(name):
             check_name(name, RANGES, name="target")
         found[name] = _as_value(value, shape, name=name)
     if {"porosity", "volume_fraction"} <= set(found):
@@ -53,6 +53,12 @@ def as_target(given: Mapping[str, Any], shape: tuple[int, ...]) -> dict[str, Tar
             "the target has porosity and volume_fraction, which is 1 - porosity: give one of them"
         )
     return found
+
+
+def is_target(name: Any) -> bool:
+    """Return whether a descriptor of this name can be a target."""
+    of_a_phase = isinstance(name, str) and name.startswith(OF_A_PHASE) and name != OF_A_PHASE
+    return of_a_phase or name in RANGES
 
 
 def porosity_of(target: Mapping[str, Target]) -> Target | None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trabecula.core.checks import check_name, quote
+from trabecula.core.checks import check_name, check_type, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, distinct_levels, with_values
 from trabecula.measure.components import label_components
@@ -50,6 +50,7 @@ def segment(
     InputError
         The image is not grey, has one value only, or the threshold leaves one phase only.
     """
+    check_type(image, Image, name="image", advice="give tb.Image(array, kind='grey')")
     if image.kind != "grey":
         raise InputError(f"segment takes a grey image, got {image.kind}")
     values = np.asarray(image.values)

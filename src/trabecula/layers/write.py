@@ -11,7 +11,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from trabecula.core.checks import as_number, as_spacing, check_name
+from trabecula.core.checks import as_number, as_spacing, check_name, check_type, quote
 from trabecula.core.errors import FileError, InputError
 from trabecula.core.image import Image, as_image
 from trabecula.core.progress import notify, track
@@ -165,6 +165,10 @@ def write_layers(
     ----------
     Floyd and Steinberg 1976, for mixtures.
     """
+    for name, given in (("materials", materials), ("mixtures", mixtures)):
+        check_type(
+            {} if given is None else given, Mapping, name=name, advice="give a mapping from phases"
+        )
     chosen = form_of(form)
     slabs = volume if isinstance(volume, Slabs) else as_slabs(as_image(volume))
     sampler = _sampler(slabs, chosen, pitch)
@@ -310,7 +314,12 @@ def _printed(slabs: Slabs, phase: str | int | None) -> list[int]:
 def _range(only: tuple[int, int] | None, layers: int) -> tuple[int, int]:
     if only is None:
         return 0, layers
-    first, last = only
+    try:
+        first, last = (int(as_number(n, name="only", low=0, high=layers, whole=True)) for n in only)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"only {quote(only)} is no pair of layers: give first and last, as in (0, 10)"
+        ) from None
     if not 0 <= first < last <= layers:
         raise InputError(
             f"layers {first}:{last} do not exist: the part has 0:{layers}; give first:last"

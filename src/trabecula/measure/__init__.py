@@ -63,6 +63,7 @@ from trabecula.measure.orientation import orientation, structure_tensor
 from trabecula.measure.percolation import percolates, percolating_fraction
 from trabecula.measure.phase_lists import phase_curves, phase_numbers
 from trabecula.measure.plates import PlatesAndRods, plates_and_rods
+from trabecula.measure.properties import measure_property
 from trabecula.measure.relative_permeability import (
     RelativePermeability,
     relative_permeability,
@@ -146,6 +147,7 @@ __all__ = [
     "lineal_path",
     "local_thickness",
     "mean_curvature",
+    "measure_property",
     "minkowski",
     "morphometry",
     "network",

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.brief import brief
+from trabecula.core.checks import check_type
 from trabecula.core.image import Image
 from trabecula.io.networks import write_tables
 from trabecula.io.units import has_length, to_metres
@@ -212,6 +213,7 @@ def bodies(
     >>> len(found), found.contacts.tolist(), found.coordination.tolist()
     (2, [[0, 1]], [1, 1])
     """
+    check_type(separate, bool, name="separate", advice="give True or False")
     image, inside = indicator(image, phase)
     cut = cut_phase(
         image,

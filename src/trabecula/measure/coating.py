@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.brief import brief
-from trabecula.core.checks import as_number
+from trabecula.core.checks import as_number, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.io.units import has_length, to_metres
@@ -168,8 +168,10 @@ def coating(
     """
     image, solid = indicator(image, phase)
     across = as_axis(axis, image.ndim)
-    if side not in (0, -1):
-        raise InputError(f"side {side} is no face: give 0 for the first layer, -1 for the last")
+    if not isinstance(side, (int, np.integer)) or side not in (0, -1):
+        raise InputError(
+            f"side {quote(side)} is no face: give 0 for the first layer, -1 for the last"
+        )
     check_sides(image.shape, what="has no coating")
     count = int(as_number(sections, name="sections", low=1, high=10**6, whole=True))
     layers = np.moveaxis(solid, across, 0)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core.checks import as_number, check_name
+from trabecula.core.checks import as_number, check_name, check_type
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels
 from trabecula.measure.local_fields import LocalField
@@ -190,7 +190,9 @@ def confidence(
         raise InputError(f"coverage is {coverage}: give a share between, such as 0.95")
     means = dict(_mean_names(image, level))
     solved = SOLVED if level == "full" and image.ndim == 3 and "void" in image.phases else ()
-    for name in names or ():
+    asked: Sequence[str] = () if names is None else names
+    check_type(asked, Sequence, name="names", advice="give a list of them")
+    for name in asked:
         check_name(name, (*means, *solved), name="name")
     found = {
         name: interval_of_mean(image, one, _local_field(image, one, phase), coverage=share)

@@ -266,7 +266,8 @@ def describe_texture(image: Image | ArrayLike, *, lags: int = 32) -> dict[str, A
 
 def autocorrelation_lines(image: Image, *, lags: int) -> dict[str, np.ndarray]:
     """Return the autocorrelation along every axis by its name, lag 0 first."""
-    whole = autocorrelation(image, lags=max(1, min(lags, min(image.shape) - 1)))
+    most = int(as_number(lags, name="lags", low=0, high=2**31, whole=True))
+    whole = autocorrelation(image, lags=max(1, min(most, min(image.shape) - 1)))
     centre = tuple(side // 2 for side in whole.shape)
     return {
         name: np.moveaxis(whole, axis, -1)[

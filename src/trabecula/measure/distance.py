@@ -9,12 +9,13 @@ periodic line is cut open at an outside voxel; only one without any is laid out 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core.checks import as_spacing
+from trabecula.core.checks import as_number, as_spacing
 from trabecula.core.errors import InputError
 from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
@@ -116,7 +117,7 @@ def signed_distance(
     InputError
         As `distance_transform`; a clip that is not positive.
     """
-    if clip is not None and not clip > 0:
+    if clip is not None and not as_number(clip, name="clip", low=-math.inf, high=math.inf) > 0:
         raise InputError(
             f"clip {clip} must be positive: give a distance in the unit of the spacing, or None"
         )

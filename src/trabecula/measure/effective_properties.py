@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core import progress
+from trabecula.core.checks import check_type
 from trabecula.core.image import Image, as_image, check_labels
 from trabecula.engine.memory import available_memory
 from trabecula.engine.parallel import for_slabs, thread_count, threads
@@ -83,6 +84,7 @@ def describe_physics(
     """
     image = as_image(image)
     check_labels(image)
+    check_type(halving, bool, name="halving", advice="give True or False")
     if image.ndim != 3:
         return dict.fromkeys(PHYSICS)
     count = min(thread_count(), _count_solves(image, box, halving))

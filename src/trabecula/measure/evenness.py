@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core.checks import as_number
+from trabecula.core.checks import as_number, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, phase_index
 from trabecula.measure.correlation.length import correlation_length
@@ -125,11 +125,11 @@ def evenness(
     """
     image = as_image(image)
     cells = cells_of(image, cell=cell_for(image.shape))
-    edges = (
-        windows_for(image)
-        if windows is None
-        else [as_number(edge, name="window", low=0, high=math.inf) for edge in windows]
-    )
+    try:
+        given = windows_for(image) if windows is None else list(windows)
+    except TypeError:
+        raise InputError(f"windows {quote(windows)} is no list: give their edges") from None
+    edges = [as_number(edge, name="window", low=0, high=math.inf) for edge in given]
     return evenness_of(cells, window_counts(cells, edges), labels=labels_of(image, phase))
 
 

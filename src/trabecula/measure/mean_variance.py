@@ -30,7 +30,7 @@ from itertools import combinations
 
 import numpy as np
 
-from trabecula.core.checks import as_shape
+from trabecula.core.checks import as_shape, as_spacing
 from trabecula.core.errors import InputError
 from trabecula.numerics.transforms import fast_side
 
@@ -128,12 +128,13 @@ class SpatialCovariance:
         Raises
         ------
         InputError
-            Fields of different shapes, not of 2 or 3 axes, or with values that are not finite.
+            Fields of different shapes, not of 2 or 3 axes, or with values that are not finite; a
+            spacing of other axes.
         """
         arrays = [np.asarray(field) for field in fields]
         _check(arrays)
         shape = arrays[0].shape
-        steps = (1.0,) * len(shape) if spacing is None else tuple(spacing)
+        steps = as_spacing(spacing, ndim=len(shape))
         cell = _cell_edge(shape)
         means = np.array([_plane_mean(array) for array in arrays])
         scatter = np.array(
@@ -233,6 +234,8 @@ def _check(arrays: Sequence[np.ndarray]) -> None:
         raise InputError(
             f"local fields of shapes {shapes}: give fields of one image, (C, Z, Y, X) or (C, Y, X)"
         )
+    if max(shapes[0]) == 1:
+        raise InputError("the local fields are of one voxel, which has no neighbours")
     for n, array in enumerate(arrays):
         if not all(np.isfinite(plane).all() for plane in array):
             raise InputError(f"local field {n} holds values that are not finite: give numbers only")

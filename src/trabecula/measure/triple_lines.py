@@ -206,7 +206,7 @@ def _check_image(image: Image | ArrayLike) -> Image:
 
 def _three(image: Image, phases: Sequence[str | int]) -> tuple[int, int, int]:
     """Return the labels of three different phases, in order."""
-    given = () if isinstance(phases, str) else tuple(phases)
+    given = tuple(phases) if isinstance(phases, Sequence) and not isinstance(phases, str) else ()
     found = sorted({phase_index(image, phase, default="") for phase in given})
     if len(given) != 3 or len(found) != 3:
         raise InputError(

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from trabecula.core.checks import as_number
+from trabecula.core.checks import as_number, check_type
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.core.progress import notify
@@ -96,6 +96,7 @@ def choose_settings(
     number = int(as_number(effort, name="effort", low=1, high=MOST, whole=True))
     if number == 1:
         return method, ()
+    check_type(method, Method, name="method", advice="give what tb.method returns")
     exemplar = as_image(exemplar)
     asked: list[Mapping[str, Any]] = [{}, *_alternatives(method, number)]
     shape = tuple(min(side, _SIDE) for side in exemplar.shape)

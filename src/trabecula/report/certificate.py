@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core import progress
-from trabecula.core.checks import check_name
+from trabecula.core.checks import check_name, check_type
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.lazy_volume import Slabs
@@ -181,6 +181,7 @@ def verify(
     check_pictures(exemplars)
     others = [_as_image(image, name=f"image {n}") for n, image in enumerate(images, start=1)]
     names = _names(names, len(others))
+    check_type(views, Sequence, name="views", advice="give names of planes")
     level, slab_note = _level_for(others, names, level)
     if (
         len(exemplars) > 1
@@ -269,6 +270,7 @@ def _level_for(images: Sequence[Any], names: Sequence[str], level: str) -> tuple
 def _names(names: Sequence[str] | None, count: int) -> Sequence[str]:
     if names is None:
         return ["image"] if count == 1 else [f"image {n + 1}" for n in range(count)]
+    check_type(names, Sequence, name="names", advice="give a list of them")
     if len(names) != count:
         raise InputError(f"{len(names)} names for {count} images: give one for each")
     return names

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core import progress
-from trabecula.core.checks import check_name
+from trabecula.core.checks import check_name, check_type
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.measure.copying import TurnedCopies, differences, diversity
@@ -165,6 +165,7 @@ def verify_ensemble(
 def _name(names: Sequence[str] | None, count: int) -> Sequence[str]:
     if names is None:
         return [f"member {n}" for n in range(1, count + 1)]
+    check_type(names, Sequence, name="names", advice="give a list of them")
     if len(names) != count:
         raise InputError(f"{len(names)} names for {count} members: give one for each")
     return names

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trabecula.core.checks import check_type
 from trabecula.core.image import Image, as_image
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.exemplar.margins import Margins, crop_margins, find_margins
@@ -212,6 +213,8 @@ def inspect(
     # Of the centre of a larger volume nothing is a margin.
     none = Margins(image.shape, (), None, (0,) * image.ndim, image.shape)
     margins = none if whole else find_margins(image)
+    if origin is not None:
+        check_type(origin, Mapping, name="origin", advice="give what origins_of returns")
     inner = crop_margins(image) if margins else image
     structure = measure_structure(inner)
     grey = None if image.kind == "labels" else _grey(inner, structure)

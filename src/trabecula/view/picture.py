@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from trabecula.core.checks import as_path_text
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.files import replacing
@@ -20,10 +21,13 @@ _WRITTEN = {".png": "pictures are", ".gif": "a turntable is", ".html": "a page i
 
 def check_suffix(path: str | PathLike[str] | None, suffix: str) -> None:
     """Raise where a path does not end in .png (.gif, .html); call it before the work."""
-    if path is not None and Path(path).suffix.lower() != suffix:
-        found = Path(path).suffix
+    if path is None:
+        return
+    place = Path(as_path_text(path))
+    if place.suffix.lower() != suffix:
         raise InputError(
-            f"{_WRITTEN[suffix]} written as {suffix}, the path ends in {found!r}: {Path(path).name}"
+            f"{_WRITTEN[suffix]} written as {suffix}, the path ends in {place.suffix!r}: "
+            f"{place.name}"
         )
 
 

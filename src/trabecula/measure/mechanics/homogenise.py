@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core.brief import brief
-from trabecula.core.checks import as_number, check_name, quote
+from trabecula.core.checks import as_number, check_name, check_type, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels, with_values
 from trabecula.engine.compile import kernel
@@ -134,6 +134,7 @@ def stiffness(
             "synthesise a volume"
         )
     as_number(tolerance, name="tolerance", low=1e-10, high=0.1)
+    check_type(halving, bool, name="halving", advice="give True or False")
     inside = with_values(image, centre(image.values, box_sides(box, image.shape)))
     kind, materials = _materials(inside, phase, moduli)
     check_memory(forecast_bytes(kind >= 0, halving=halving))

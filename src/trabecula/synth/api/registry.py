@@ -68,7 +68,7 @@ def method(name: str, /, *, preset: str | None = None, **settings: Any) -> Metho
         Another distribution announces the method, and it cannot be loaded.
     """
     known = methods()
-    if name not in known:
+    if not isinstance(name, str) or name not in known:
         for point in _points():
             if point.name == name:
                 _load(point)  # which raises

@@ -1,0 +1,337 @@
+"""Material that has a property: the porosity that gives it is sought by the solvers.
+
+Small trials over the porosities that the exemplar holds say what the material can have; they are
+the map from porosity to property. The result is made at the porosity that the map names, measured,
+and made again where it is off: the map keeps its slope and takes the level of what was measured,
+then results on both sides of what is asked for bound the next one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from trabecula.core.checks import as_number, check_name, quote
+from trabecula.core.errors import InputError, RequestError
+from trabecula.core.image import Image
+from trabecula.core.progress import notify, track
+from trabecula.core.recipe import Recipe
+from trabecula.core.request import Request
+from trabecula.exemplar.target import porosity_range
+from trabecula.measure.properties import PROPERTIES, measure_property
+from trabecula.synth.api.model import Model, as_request
+
+MOST = 6
+"""Results that are made and measured at most."""
+
+_SIDE = 64  # voxels of a trial along every axis, at most
+_TRIALS = 5  # porosities of the map
+_WIDEST = (0.02, 0.98)  # porosities of trials where the exemplar sets no bounds
+_STEP = 0.05  # of porosity, where a map says nothing of the next
+_DIGITS = 6  # of a porosity
+_NARROW = 1e-3  # porosities on both sides nearer than this: what is between is chance
+
+Point = tuple[float, float]
+"""A porosity, and the property of material that was made with it."""
+
+
+@dataclass(frozen=True)
+class PropertyMatch:
+    """Material made to have a property.
+
+    Attributes
+    ----------
+    image : Image
+        The nearest result. Its recipe names the porosity, so that `tb.rerun` needs no search.
+    request : Request
+        The request that made it, with that porosity as target.
+    name : str
+    asked, value : float
+        What was asked for, and what the image has.
+    within : float
+        Relative error that was allowed.
+    trials : tuple of (float, float)
+        Porosity and property of small trials, by porosity.
+    made : tuple of (float, float)
+        Porosity and property of every result of full size, in their order.
+    """
+
+    image: Image
+    request: Request
+    name: str
+    asked: float
+    value: float
+    within: float
+    trials: tuple[Point, ...]
+    made: tuple[Point, ...]
+
+    @property
+    def error(self) -> float:
+        """Return value / asked - 1."""
+        return self.value / self.asked - 1
+
+    @property
+    def met(self) -> bool:
+        """Return whether the error is within what was allowed."""
+        return abs(self.error) <= self.within
+
+    def __str__(self) -> str:
+        """Return the match in a line."""
+        unit = _unit(self.image.unit, PROPERTIES[self.name.partition(":")[0]].power)
+        porosity = self.request.target["porosity"]
+        verdict = "" if self.met else f", NOT within {self.within:.3g}"
+        return (
+            f"{self.name} {self.value:.4g}{unit} at porosity {porosity:.4g}: {self.error:+.1%} off "
+            f"{self.asked:.4g}{verdict}"
+        )
+
+
+def match_property(
+    model: Model,
+    shape: Request | int | Sequence[int],
+    asked: Mapping[str, float],
+    *,
+    seed: int | None = None,
+    within: float = 0.02,
+    memory: int | None = None,
+    periodic: bool | Sequence[bool] = False,
+) -> PropertyMatch:
+    """Make material that has a property: permeability, stiffness, ...
+
+    The porosity is what is changed; it stays where the exemplar's own places are (windows of a
+    quarter of its sides).
+
+    Parameters
+    ----------
+    model : Model
+        Of a method that honours a target porosity, with two phases.
+    shape : int, sequence of int, or Request
+        Of the result, in memory as a whole. A Request with shape, seed and periodic alone.
+    asked : mapping
+        One name with the value to have, in the image's unit of length, as `measure_property`
+        measures it: {"permeability": 2e-6}, {"stiffness:z": 0.05}.
+    seed : int
+        As of `Model.generate`. All trials and results have it.
+    within : float
+        Relative error that ends the search, .001 .. .5. It takes 6 results at most.
+    memory : int, optional
+        Budget in bytes of every result. Default: the memory that is available.
+    periodic
+        As of `Request`.
+
+    Returns
+    -------
+    match : PropertyMatch
+        The nearest result; `met` says whether it is within.
+
+    Raises
+    ------
+    UnknownNameError
+        No such property or axis.
+    RequestError
+        The method takes no target porosity; a mask, fixed voxels or a target beside the property;
+        what is asked for lies outside what the trials show that the material can have, which the
+        message names.
+    InputError
+        Several properties, or a value that is none.
+
+    Examples
+    --------
+    >>> model = tb.method("texture", preset="fast").fit(tb.sample("bone").crop(32))
+    ... # doctest: +SKIP
+    >>> tb.match_property(model, 96, {"stiffness:z": 0.05}).met  # doctest: +SKIP
+    True
+    """
+    name, wanted = as_property(asked)
+    limit = float(as_number(within, name="within", low=1e-3, high=0.5))
+    request = _plain_request(shape, seed, periodic)
+    _check_model(model, request)
+    small = replace(request, shape=tuple(min(side, _SIDE) for side in request.shape))
+    trials = _map(model, small, name, memory)
+    porosity = _first(trials, name, wanted, model)
+    made: list[Point] = []
+    best: tuple[float, Image, Request] | None = None
+    while len(made) < MOST:
+        now = replace(request, target={"porosity": round(porosity, _DIGITS)})
+        image = model.generate(now, memory=memory)
+        value = measure_property(image, name)
+        made.append((float(now.target["porosity"]), value))
+        error = abs(value / wanted - 1)
+        notify(f"{name} {value:.4g} at porosity {porosity:.4f}, {wanted:.4g} asked")
+        if best is None or error < best[0]:
+            best = (error, image, now)
+        if error <= limit:
+            break
+        porosity = _next(trials, made, wanted)
+        if min(abs(porosity - done) for done, _ in made) < _NARROW / 2:
+            break
+    assert best is not None
+    _, image, now = best
+    value = dict(made)[float(now.target["porosity"])]
+    match = PropertyMatch(image, now, name, wanted, value, limit, tuple(trials), tuple(made))
+    return replace(match, image=_with_report(match))
+
+
+def as_property(given: Mapping[str, float]) -> tuple[str, float]:
+    """Return the name and value of the one property that is asked for.
+
+    Raises
+    ------
+    UnknownNameError, InputError
+        As `match_property`.
+    """
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"the property asked for is {quote(given)}: give a name with its value, such as "
+            "{'permeability': 2e-6}"
+        )
+    if len(given) != 1:
+        raise InputError(
+            f"{', '.join(map(str, given)) or 'no property'}: porosity alone is changed, so that "
+            "one property can be met; give one"
+        )
+    ((name, value),) = given.items()
+    word, colon, axis = str(name).partition(":")
+    check_name(word, PROPERTIES, name="property")
+    if colon and PROPERTIES[word].along is None:
+        raise InputError(f"{word} has no direction: leave :{axis} out")
+    if colon:
+        check_name(axis, ("z", "y", "x"), name="axis")
+    number = float(as_number(value, name=name, low=0, high=math.inf))
+    if not number > 0:
+        raise InputError(f"{name} is {number:g}: ask for more than 0")
+    return name, number
+
+
+def _plain_request(
+    shape: Request | int | Sequence[int], seed: int | None, periodic: bool | Sequence[bool]
+) -> Request:
+    parts = {} if isinstance(shape, Request) else {"periodic": periodic}
+    request = as_request(shape, seed, parts)
+    beside = sorted(request.asks_for() - {"periodic"})
+    if beside:
+        raise RequestError(
+            f"a property beside {', '.join(beside)}: it goes with shape, seed and periodic alone"
+        )
+    if len(request.shape) != 3:
+        raise RequestError(
+            f"a property is one of a volume, the request is for {request.shape}: give three numbers"
+        )
+    return request
+
+
+def _check_model(model: Model, request: Request) -> None:
+    known = model.capabilities
+    if "target" not in known.honours or "porosity" not in known.targets:
+        raise RequestError(
+            f"method {known.name!r} takes no target porosity, by which a property is met: choose "
+            "texture, quilt or lattice"
+        )
+    first = model.facts[0]
+    if first.kind != "labels" or len(first.phases) != 2 or "void" not in first.phases:
+        raise RequestError(
+            f"a property is met for two phases of which one is void, the model's are {first.kind} "
+            f"of {', '.join(first.phases) or 'no phases'}: segment the exemplar, or name its "
+            "phases (--phases)"
+        )
+    model.plan(request)
+
+
+def _map(model: Model, request: Request, name: str, memory: int | None) -> list[Point]:
+    """Return small trials over the porosities that the model can make, by porosity."""
+    ranges = [porosity_range(exemplar) for exemplar in model.exemplars] or [_WIDEST]
+    low = max(_WIDEST[0], min(first for first, _ in ranges))
+    high = min(_WIDEST[1], max(last for _, last in ranges))
+    found = []
+    for porosity in track(np.linspace(low, high, _TRIALS).tolist(), f"trials of {name}"):
+        trial = replace(request, target={"porosity": round(porosity, _DIGITS)})
+        try:
+            image = model.generate(trial, memory=memory)
+        except RequestError:  # a porosity that this method cannot make
+            continue
+        found.append((porosity, measure_property(image, name)))
+    return found
+
+
+def _first(trials: Sequence[Point], name: str, asked: float, model: Model) -> float:
+    """Return the porosity that the trials name."""
+    first = model.facts[0]
+    usual = first.shares[first.phases.index("void")] if first.shares else 0.5
+    porosity = _crossing(trials, asked, near=usual)
+    if porosity is not None:
+        return porosity
+    values = [value for _, value in trials if value > 0]
+    if not values:
+        raise RequestError(
+            f"{name} is 0 in all trials, whose porosities are {_listed(trials)}: nothing spans "
+            "them; ask for another property"
+        )
+    unit = _unit(first.unit, PROPERTIES[name.partition(":")[0]].power)
+    raise RequestError(
+        f"{name} {asked:.4g}{unit} is outside what this material can have: trials with porosities "
+        f"{_listed(trials)} have {min(values):.4g} .. {max(values):.4g}{unit}; ask for one in "
+        "between, or give an exemplar that is denser or sparser"
+    )
+
+
+def _next(trials: Sequence[Point], made: Sequence[Point], asked: float) -> float:
+    """Return the porosity of the next result."""
+    done = sorted(made)
+    bracket = _crossing(done, asked, near=made[-1][0])
+    if bracket is not None:
+        return bracket
+    porosity, value = min(made, key=lambda one: abs(one[1] - asked))
+    # the map at the level of what was measured
+    known = np.array([one for one in trials if one[1] > 0])
+    if value > 0 and len(known) > 1:
+        here = float(np.exp(np.interp(porosity, known[:, 0], np.log(known[:, 1]))))
+        moved = [(one, other * value / here) for one, other in known.tolist()]
+        found = _crossing(moved, asked, near=porosity)
+        if found is not None:
+            return found
+    low, high = trials[0][0], trials[-1][0]
+    rises = trials[-1][1] > trials[0][1]
+    step = _STEP if (value < asked) == rises else -_STEP
+    return min(high, max(low, porosity + step))
+
+
+def _crossing(points: Sequence[Point], asked: float, *, near: float) -> float | None:
+    """Return the porosity, nearest to `near`, where the logarithm of the property passes that of
+    what is asked for, linear between points; None where it does not.
+    """
+    found = []
+    for (low, first), (high, last) in pairwise(points):
+        if first <= 0 or last <= 0 or not min(first, last) <= asked <= max(first, last):
+            continue
+        share = 0.5 if first == last else math.log(asked / first) / math.log(last / first)
+        found.append(low + share * (high - low))
+    return min(found, key=lambda one: abs(one - near), default=None)
+
+
+def _with_report(match: PropertyMatch) -> Image:
+    """Return the image, its recipe's report with the search."""
+    steps = match.image.recipe.to_json()
+    steps[-1]["report"] = {
+        **steps[-1].get("report", {}),
+        "property": {
+            "name": match.name,
+            "asked": match.asked,
+            "value": match.value,
+            "within": match.within,
+            "trials": [list(one) for one in match.trials],
+            "made": [list(one) for one in match.made],
+        },
+    }
+    return replace(match.image, recipe=Recipe.from_json(steps))
+
+
+def _listed(trials: Sequence[Point]) -> str:
+    return f"{trials[0][0]:.3g} .. {trials[-1][0]:.3g}" if trials else "none"
+
+
+def _unit(unit: str, power: int) -> str:
+    return f" {unit}^{power}" if power not in (0, 1) else f" {unit}" if power else ""
