@@ -315,7 +315,7 @@ def _range(only: tuple[int, int] | None, layers: int) -> tuple[int, int]:
     if only is None:
         return 0, layers
     try:
-        first, last = (int(as_number(n, name="only", low=0, high=layers, whole=True)) for n in only)
+        first, last = (int(as_number(n, name="only", low=0, high=2**31, whole=True)) for n in only)
     except (TypeError, ValueError):
         raise InputError(
             f"only {quote(only)} is no pair of layers: give first and last, as in (0, 10)"
