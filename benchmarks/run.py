@@ -41,6 +41,7 @@ import noise
 import novelty_blind
 import papers
 import printing
+import properties
 import scan
 import texture
 import texture_figures
@@ -132,6 +133,7 @@ CASES: dict[str, Callable[[], None]] = {
     "big_workers": big.big_workers,
     "big_scaling": big_scaling.big_scaling,
     "big_whole": big_whole.big_whole,
+    "properties": properties.properties,
     "papers": papers.papers,
     "view_still": view.view_still,
     "view_page": view.view_page,

@@ -3,7 +3,7 @@
 Small trials over the porosities that the exemplar holds say what the material can have; they are
 the map from porosity to property. The result is made at the porosity that the map names, measured,
 and made again where it is off: the map keeps its slope and takes the level of what was measured,
-then results on both sides of what is asked for bound the next one.
+then results on both sides of it bound the next one.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def match_property(
         No such property or axis.
     RequestError
         The method takes no target porosity; a mask, fixed voxels or a target beside the property;
-        what is asked for lies outside what the trials show that the material can have, which the
+        a value outside of what the trials show that the material can have, which the
         message names.
     InputError
         Several properties, or a value that is none.
@@ -301,7 +301,7 @@ def _next(trials: Sequence[Point], made: Sequence[Point], asked: float) -> float
 
 def _crossing(points: Sequence[Point], asked: float, *, near: float) -> float | None:
     """Return the porosity, nearest to `near`, where the logarithm of the property passes that of
-    what is asked for, linear between points; None where it does not.
+    `asked`, linear between points; None where it does not.
     """
     found = []
     for (low, first), (high, last) in pairwise(points):
