@@ -13,10 +13,11 @@ from scipy.sparse.linalg import spsolve
 from trabecula import fields
 from trabecula.engine import parallel
 from trabecula.errors import FileError, InputError, MemoryBudgetError, UnknownNameError
-from trabecula.fields.topology.cases import CASES, Case, Load, Support, case, nodes_of, to_json
+from trabecula.fields.topology.cases import CASES, Case, Load, Support, case, to_json
 from trabecula.fields.topology.displacements import DensitySystem, solve_displacements
 from trabecula.fields.topology.elements import ElementGrid
 from trabecula.fields.topology.optimise import _BYTES, DensityFilter
+from trabecula.fields.topology.places import nodes_of
 from trabecula.measure.mechanics.elements import CORNERS
 
 END = ((0.0, 1.0), (0.0, 1.0), (0.0, 0.0))

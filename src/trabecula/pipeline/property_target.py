@@ -33,7 +33,7 @@ _TRIALS = 5  # porosities of the map
 _WIDEST = (0.02, 0.98)  # porosities of trials where the exemplar sets no bounds
 _STEP = 0.05  # of porosity, where a map says nothing of the next
 _DIGITS = 6  # of a porosity
-_NARROW = 1e-3  # porosities on both sides nearer than this: what is between is chance
+_NEAR = 1e-4  # of a porosity to one that was made: it would be much the same result
 
 Point = tuple[float, float]
 """A porosity, and the property of material that was made with it."""
@@ -167,7 +167,7 @@ def match_property(
         if error <= limit:
             break
         porosity = _next(trials, made, wanted)
-        if min(abs(porosity - done) for done, _ in made) < _NARROW / 2:
+        if min(abs(porosity - done) for done, _ in made) < _NEAR:
             break
     assert best is not None
     _, image, now = best

@@ -1,6 +1,7 @@
 """Density from topology optimisation (SIMP): least compliance for a given volume, matrix-free."""
 
-from trabecula.fields.topology.cases import CASES, Case, Load, Support, case
+from trabecula.fields.topology.cases import CASES, Case, Load, LoadCase, Region, Support, case
 from trabecula.fields.topology.optimise import simp
+from trabecula.fields.topology.places import Place
 
-__all__ = ["CASES", "Case", "Load", "Support", "case", "simp"]
+__all__ = ["CASES", "Case", "Load", "LoadCase", "Place", "Region", "Support", "case", "simp"]

@@ -1,5 +1,5 @@
-"""Supports and loads of a part as data: boxes in shares of the sides, so that a case fits any
-number of voxels.
+"""Supports and loads of a part as data: places in shares of the sides, so that a case fits any
+number of elements.
 """
 
 from __future__ import annotations
@@ -10,33 +10,50 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
+from trabecula.fields.topology.places import ALL, EVERYWHERE, Box, Place, read_place, write_place
 from trabecula.io.guard import check_there, report_damage
-
-Box = tuple[tuple[float, float], ...]
-"""From and to along z, y, x, in shares of the sides 0 .. 1; a face, edge or corner where both are
-equal.
-"""
 
 
 @dataclass(frozen=True)
 class Support:
     """Nodes that do not move along the given axes."""
 
-    box: Box
+    box: Box = EVERYWHERE
     axes: str = "zyx"
+    place: Place = ALL
+    """Which of the box's nodes."""
 
 
 @dataclass(frozen=True)
 class Load:
-    """A force, shared evenly among the nodes of a box."""
+    """A force, shared evenly among the nodes of a place."""
 
     box: Box
     force: tuple[float, float, float]
     """Along z, y, x; only its direction and its ratio to other loads matter."""
+    place: Place = ALL
+    """Which of the box's nodes."""
+
+
+@dataclass(frozen=True)
+class LoadCase:
+    """Loads that act together, at another time than other cases'."""
+
+    loads: tuple[Load, ...]
+    weight: float = 1.0
+    """Of its compliance in the sum that is made small."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """Elements that the design does not decide."""
+
+    box: Box = EVERYWHERE
+    place: Place = ALL
+    depth: int = 1
+    """Elements below a surface that `place` picks."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +68,10 @@ class Case:
     supports : tuple of Support
     loads : tuple of Load
         Acting together.
+    load_cases : tuple of LoadCase
+        Further loads, each acting alone: the sum of the compliances is made small.
+    solid, keep_out : tuple of Region
+        Elements that are as dense as the bounds allow, and elements that are left out.
     volume, low, high, penalty : float
         Mean, bounds and exponent of the density that the case is usually run with.
     """
@@ -64,6 +85,15 @@ class Case:
     low: float = 0.3
     high: float = 0.85
     penalty: float = 1.0
+    load_cases: tuple[LoadCase, ...] = ()
+    solid: tuple[Region, ...] = ()
+    keep_out: tuple[Region, ...] = ()
+
+    @property
+    def alone(self) -> tuple[LoadCase, ...]:
+        """Return all loads as cases that act alone, each with its weight."""
+        first = (LoadCase(self.loads),) if self.loads or not self.load_cases else ()
+        return first + self.load_cases
 
 
 _ALL = (0.0, 1.0)
@@ -128,27 +158,59 @@ def case(source: str | Path | Mapping[str, Any] | Case) -> Case:
 def to_json(given: Case) -> dict[str, Any]:
     """Return the fields of a case as plain JSON, which `case` reads back."""
     plain = dict(vars(given))
-    plain["supports"] = [{"box": support.box, "axes": support.axes} for support in given.supports]
-    plain["loads"] = [{"box": load.box, "force": load.force} for load in given.loads]
+    plain["supports"] = [
+        {"box": one.box, "axes": one.axes, **write_place(one.place)} for one in given.supports
+    ]
+    plain["loads"] = _plain_loads(given.loads)
+    plain["load_cases"] = [
+        {"loads": _plain_loads(one.loads), "weight": one.weight} for one in given.load_cases
+    ]
+    for name in ("solid", "keep_out"):
+        plain[name] = [
+            {"box": one.box, "depth": one.depth, **write_place(one.place)}
+            for one in getattr(given, name)
+        ]
+    for name in ("load_cases", "solid", "keep_out"):
+        if not plain[name]:
+            del plain[name]
     return dict(json.loads(json.dumps(plain)))
 
 
+def _plain_loads(loads: Sequence[Load]) -> list[dict[str, Any]]:
+    return [{"box": one.box, "force": one.force, **write_place(one.place)} for one in loads]
+
+
 def _from_mapping(given: Any) -> Case:
-    if not isinstance(given, Mapping) or not {"shape", "supports", "loads"} <= set(given):
+    loads = isinstance(given, Mapping) and ("loads" in given or "load_cases" in given)
+    if not loads or not {"shape", "supports"} <= set(given):
         raise InputError("a case needs shape, supports and loads: see the how-to of target fields")
     for name in given:
         check_name(str(name), Case.__dataclass_fields__, name="field of a case")
     try:
         supports = tuple(
-            Support(_as_box(s["box"]), str(s.get("axes", "zyx"))) for s in given["supports"]
+            Support(_box_of(s), str(s.get("axes", "zyx")), read_place(s)) for s in given["supports"]
         )
-        loads = tuple(Load(_as_box(load["box"]), _three(load["force"])) for load in given["loads"])
+        load_cases = tuple(
+            LoadCase(_loads_of(one["loads"]), _weight(one.get("weight", 1.0)))
+            for one in given.get("load_cases", ())
+        )
         z, y, x = (int(side) for side in given["shape"])
         rest = {
             name: float(given[name])
             for name in ("volume", "low", "high", "penalty")
             if name in given
         }
+        found = Case(
+            str(given.get("name", "case")),
+            str(given.get("summary", "")),
+            (z, y, x),
+            supports,
+            _loads_of(given.get("loads", ())),
+            **rest,
+            load_cases=load_cases,
+            solid=_regions_of(given.get("solid", ())),
+            keep_out=_regions_of(given.get("keep_out", ())),
+        )
     except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
         raise InputError(
             f"the case cannot be read ({type(error).__name__}: {error}): "
@@ -158,37 +220,36 @@ def _from_mapping(given: Any) -> Case:
         raise InputError(
             f"axes of a support are letters of zyx: got {[support.axes for support in supports]}"
         )
-    return Case(
-        str(given.get("name", "case")),
-        str(given.get("summary", "")),
-        (z, y, x),
-        supports,
-        loads,
-        **rest,
-    )
+    return found
 
 
-def _as_box(given: Sequence[Sequence[float]]) -> Box:
-    box = tuple((float(low), float(high)) for low, high in given)
+def _loads_of(given: Any) -> tuple[Load, ...]:
+    return tuple(Load(_box_of(one), _three(one["force"]), read_place(one)) for one in given)
+
+
+def _regions_of(given: Any) -> tuple[Region, ...]:
+    found = tuple(Region(_box_of(one), read_place(one), int(one.get("depth", 1))) for one in given)
+    if any(one.depth < 1 for one in found):
+        raise ValueError("the depth of a region is at least 1")
+    return found
+
+
+def _weight(given: Any) -> float:
+    if not 0 < float(given) < 1e6:
+        raise ValueError(f"a weight is above 0, got {given}")
+    return float(given)
+
+
+def _box_of(given: Mapping[str, Any]) -> Box:
+    """Return the box of a support, load or region; one that names another place needs none."""
+    if "box" not in given and read_place(given) != ALL:
+        return EVERYWHERE
+    box = tuple((float(low), float(high)) for low, high in given["box"])
     if len(box) != 3 or not all(0 <= low <= high <= 1 for low, high in box):
-        raise ValueError(f"a box is three pairs of shares 0 .. 1, got {given}")
+        raise ValueError(f"a box is three pairs of shares 0 .. 1, got {given['box']}")
     return box
 
 
 def _three(given: Sequence[float]) -> tuple[float, float, float]:
     z, y, x = (float(part) for part in given)
     return z, y, x
-
-
-def nodes_of(box: Box, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the nodes of a grid of elements in a box, the nearest ones at least, (Z + 1, Y + 1,
-    X + 1) bool.
-    """
-    picked = []
-    for (low, high), side in zip(box, shape, strict=True):
-        node = np.arange(side + 1)
-        first, last = int(np.ceil(low * side - 1e-9)), int(np.floor(high * side + 1e-9))
-        if first > last:  # between two nodes
-            first = last = round((low + high) / 2 * side)
-        picked.append((node >= first) & (node <= last))
-    return picked[0][:, None, None] & picked[1][None, :, None] & picked[2][None, None, :]

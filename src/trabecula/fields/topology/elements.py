@@ -7,7 +7,7 @@ no element.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -15,7 +15,8 @@ import numpy as np
 from trabecula.core.errors import InputError
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.fields.topology.cases import Case, nodes_of
+from trabecula.fields.topology.cases import Case, Load
+from trabecula.fields.topology.places import PartNodes
 from trabecula.measure.mechanics.elements import CORNERS, brick_stiffness, isotropic
 
 _ROUND = 2.0**40
@@ -36,38 +37,38 @@ class ElementGrid:
 
     @classmethod
     def of(
-        cls, case: Case, inside: np.ndarray, *, edges: tuple[float, ...], poisson: float
+        cls,
+        case: Case,
+        inside: np.ndarray | PartNodes,
+        *,
+        edges: tuple[float, ...],
+        poisson: float,
     ) -> ElementGrid:
-        """Set a case on a grid whose elements are `inside`; edges are those of an element."""
+        """Set a case on a grid whose elements are `inside`, with the first of its loads that act
+        alone; edges are those of an element.
+        """
+        part = inside if isinstance(inside, PartNodes) else PartNodes(inside, edges=edges)
         blocks = brick_stiffness(isotropic(1.0, poisson), edges)
         # Rounded, since the last bit of a matrix product depends on the machine.
         stiffness = np.rint(blocks.transpose(0, 2, 1, 3).reshape(24, 24) * _ROUND) / _ROUND
-        nodes = tuple(side + 1 for side in inside.shape)
-        present = np.zeros(nodes, bool)
-        for corner in CORNERS:
-            present[_corner_nodes(corner, inside.shape)] |= inside
-        free = np.repeat(present[..., None], 3, axis=-1)
-        load = np.zeros((*nodes, 3))
+        free = np.repeat(part.present[..., None], 3, axis=-1)
         for support in case.supports:
-            held = nodes_of(support.box, inside.shape)
+            held = part.pick(support.box, support.place)
             for axis in support.axes:
                 free[held, "zyx".index(axis)] = False
-        for push in case.loads:
-            pushed = nodes_of(push.box, inside.shape) & present
-            if not pushed.any():
-                raise InputError(f"the load at {push.box} meets no element: move it onto the part")
-            load[pushed] += np.array(push.force) / np.count_nonzero(pushed)
-        load[~free] = 0
-        if not load.any():
-            raise InputError(
-                f"case {case.name!r} pushes nothing that can move: give a load away from the "
-                "supports"
-            )
-        if free[present].all():
+        load = _forces(case.alone[0].loads, part, free, case.name)
+        if free[part.present].all():
             raise InputError(
                 f"case {case.name!r} holds no element: give supports that meet the part"
             )
-        return cls(stiffness, inside, free, load)
+        return cls(stiffness, part.inside, free, load)
+
+    def loaded(self, case: Case, part: PartNodes) -> list[tuple[float, ElementGrid]]:
+        """Return the weight of every load case, and the grid with its loads."""
+        return [
+            (one.weight, replace(self, load=_forces(one.loads, part, self.free, case.name)))
+            for one in case.alone
+        ]
 
     def product(self, density: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return the forces of displacements, 0 where a node is held."""
@@ -92,6 +93,25 @@ class ElementGrid:
         found = np.empty(self.inside.shape)
         for_slabs(partial(_energies, self.stiffness, self.inside, u, found), len(found), least=2)
         return found
+
+
+def _forces(loads: tuple[Load, ...], part: PartNodes, free: np.ndarray, name: str) -> np.ndarray:
+    """Return the forces at the nodes; 0 where a node is held."""
+    force = np.zeros(free.shape)
+    for push in loads:
+        pushed = part.pick(push.box, push.place)
+        if not pushed.any():
+            raise InputError(
+                f"the load at {push.box} meets no element: move it onto the part, or widen its "
+                "place"
+            )
+        force[pushed] += np.array(push.force) / np.count_nonzero(pushed)
+    force[~free] = 0
+    if not force.any():
+        raise InputError(
+            f"case {name!r} pushes nothing that can move: give a load away from the supports"
+        )
+    return force
 
 
 def _corner_nodes(corner: np.ndarray, shape: tuple[int, ...]) -> tuple[slice, ...]:

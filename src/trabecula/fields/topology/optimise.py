@@ -8,6 +8,7 @@ convex: a graded material, and one best answer.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,11 @@ from trabecula.fields.grid import as_field, as_region
 from trabecula.fields.topology.cases import Case, case, to_json
 from trabecula.fields.topology.displacements import solve_displacements
 from trabecula.fields.topology.elements import ElementGrid
+from trabecula.fields.topology.places import PartNodes
 
 _MOVE = 0.2  # the most that a density changes in a round
 _BALANCE, _STEPS = 1e-4, 1000  # residual of the displacements, and their steps at most
+_MANY = 100_000  # elements from which a coarser design is the start
 _BYTES = 500  # of an element: a dozen fields at nodes of three components, and the densities
 
 
@@ -41,6 +44,7 @@ def simp(
     penalty: float | None = None,
     radius: float = 1.5,
     mask: ArrayLike | None = None,
+    marks: Mapping[str, ArrayLike] | None = None,
     poisson: float = 0.3,
     rounds: int = 80,
     tolerance: float = 1e-4,
@@ -68,6 +72,8 @@ def simp(
     mask : (Z, Y, X) bool array, optional
         Elements of the part; elsewhere the density is `low` in the result and there is nothing in
         the mechanics.
+    marks : mapping of str to (Z, Y, X) bool array, optional
+        Elements that painted meshes go through, by the names that the case gives them.
     poisson : float
         Ratio of the solid, -0.9 .. 0.45.
     rounds : int
@@ -88,7 +94,8 @@ def simp(
     Raises
     ------
     InputError
-        Bounds that do not hold the volume, loads that nothing holds, a mask of another shape.
+        Bounds that do not hold the volume, loads that nothing holds, places that meet no element, a
+        mask of another shape, a painted mesh that was not given.
     UnknownNameError
         No such case.
     MemoryBudgetError
@@ -120,14 +127,17 @@ def simp(
     }
     settings = _check_settings(settings)
     edges = as_spacing(spacing, ndim=3)
-    inside = np.ones(sides, bool) if mask is None else as_region(mask, sides, name="the mask")
-    unit_edges = tuple(edge / min(edges) for edge in edges)
-    grid = ElementGrid.of(chosen, inside, edges=unit_edges, poisson=settings["poisson"])
-    density, compliance = _optimise(grid, settings)
-    field = np.where(inside, density, settings["low"])
+    whole = np.ones(sides, bool) if mask is None else as_region(mask, sides, name="the mask")
+    painted = {
+        name: as_region(one, sides, name=f"mark {name!r}") for name, one in (marks or {}).items()
+    }
+    density, compliance = _optimise(Design(chosen, whole, painted, edges, settings))
+    field = np.where(whole, density, settings["low"])
     parameters = {"of": to_json(chosen), "shape": sides, **settings, "spacing": edges, "unit": unit}
     if mask is not None:
-        parameters["mask"] = digest(inside.view(np.uint8))
+        parameters["mask"] = digest(whole.view(np.uint8))
+    if painted:
+        parameters["marks"] = {name: digest(one.view(np.uint8)) for name, one in painted.items()}
     return as_field(
         field, "simp", parameters, spacing=edges, unit=unit, report={"compliance": compliance}
     )
@@ -157,17 +167,62 @@ def _check_settings(given: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _optimise(grid: ElementGrid, settings: dict[str, Any]) -> tuple[np.ndarray, list[float]]:
+@dataclass(frozen=True, eq=False)
+class Design:
+    """What is optimised: a case on a part, with the settings of `simp`."""
+
+    case: Case
+    part: np.ndarray
+    """(Z, Y, X) bool."""
+    marks: Mapping[str, np.ndarray]
+    edges: tuple[float, ...]
+    settings: Mapping[str, Any]
+
+    @property
+    def nodes(self) -> PartNodes:
+        """Return the part without what is kept out."""
+        unit_edges = tuple(edge / min(self.edges) for edge in self.edges)
+        part = PartNodes(self.part, self.marks, unit_edges)
+        for region in self.case.keep_out:
+            inside = part.inside & ~part.elements(region.box, region.place, region.depth)
+            part = PartNodes(inside, self.marks, unit_edges)
+        if not part.inside.any():
+            raise InputError(f"case {self.case.name!r} keeps out the whole part: leave some of it")
+        return part
+
+    def halved(self) -> Design:
+        """Return the design on elements of twice the edge, where any of eight is inside."""
+        marks = {name: _halve(one) for name, one in self.marks.items()}
+        return replace(self, part=_halve(self.part), marks=marks)
+
+
+def _halve(inside: np.ndarray) -> np.ndarray:
+    padded = np.pad(inside, [(0, side % 2) for side in inside.shape])
+    z, y, x = (side // 2 for side in padded.shape)
+    return np.asarray(padded.reshape(z, 2, y, 2, x, 2).any(axis=(1, 3, 5)))
+
+
+def _optimise(design: Design) -> tuple[np.ndarray, list[float]]:
     """Return the densities (0 outside the part), and the compliance of every round."""
-    inside, penalty = grid.inside, settings["penalty"]
+    settings, part = design.settings, design.nodes
+    inside, penalty = part.inside, settings["penalty"]
+    solid = np.zeros(inside.shape, bool)
+    for region in design.case.solid:
+        solid |= part.elements(region.box, region.place, region.depth)
+    _check_solid(solid, inside, settings)
+    grid = ElementGrid.of(design.case, part, edges=tuple(part.edges), poisson=settings["poisson"])
+    grids = grid.loaded(design.case, part)
     smooth = DensityFilter(inside, settings["radius"])
-    design = np.where(inside, settings["volume"], 0.0)
-    density, u = design, np.zeros_like(grid.load)
+    bounds = Bounds(inside, solid, settings["low"], settings["high"], settings["volume"])
+    start = _start(design, bounds)
+    density, u = start, [np.zeros_like(grid.load) for _ in grids]
     compliance: list[float] = []
     for _ in track(range(settings["rounds"]), "optimising", total=settings["rounds"]):
         stiff = _power(density, penalty)
-        u = solve_displacements(grid, stiff, u, tolerance=_BALANCE, most=_STEPS)
-        energy = grid.energy(u)
+        energy = np.zeros(inside.shape)
+        for n, (weight, loaded) in enumerate(grids):
+            u[n] = solve_displacements(loaded, stiff, u[n], tolerance=_BALANCE, most=_STEPS)
+            energy += weight * loaded.energy(u[n])
         compliance.append(float((stiff * energy).sum()))
         if (
             len(compliance) > 1
@@ -175,8 +230,34 @@ def _optimise(grid: ElementGrid, settings: dict[str, Any]) -> tuple[np.ndarray, 
         ):
             break
         slope = penalty * _power(density, penalty - 1) * energy
-        design, density = _update(design, smooth.back(slope), smooth, settings)
+        start, density = _update(start, smooth.back(slope), smooth, bounds)
     return density, compliance
+
+
+def _start(design: Design, bounds: Bounds) -> np.ndarray:
+    """Return the densities to begin with: uniform, or of many elements those of a design on half as
+    many along every axis.
+    """
+    inside = bounds.inside
+    uniform = np.where(inside, bounds.volume, 0.0)
+    if np.count_nonzero(inside) <= _MANY or min(inside.shape) < 8:
+        return uniform
+    coarse, _ = _optimise(design.halved())
+    fine = coarse
+    for axis, side in enumerate(inside.shape):
+        fine = np.repeat(fine, 2, axis=axis).take(range(side), axis=axis)
+    return np.where(inside & (fine > 0), fine, uniform)
+
+
+def _check_solid(solid: np.ndarray, inside: np.ndarray, settings: Mapping[str, Any]) -> None:
+    """Raise where solid regions leave no density between the bounds for the rest."""
+    share = np.count_nonzero(solid) / np.count_nonzero(inside)
+    least = share * settings["high"] + (1 - share) * settings["low"]
+    if settings["volume"] < least:
+        raise InputError(
+            f"solid regions take {share:.3g} of the part: with them the mean density is at least "
+            f"{least:.3g}, volume is {settings['volume']:g}; ask for more, or for smaller regions"
+        )
 
 
 def _power(density: np.ndarray, exponent: float) -> np.ndarray:
@@ -189,22 +270,34 @@ def _power(density: np.ndarray, exponent: float) -> np.ndarray:
     return found
 
 
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Where densities may lie: between bounds, at the upper one in solid regions, with a mean."""
+
+    inside: np.ndarray
+    solid: np.ndarray
+    low: float
+    high: float
+    volume: float
+
+
 def _update(
-    design: np.ndarray, gain: np.ndarray, smooth: DensityFilter, settings: dict[str, Any]
+    design: np.ndarray, gain: np.ndarray, smooth: DensityFilter, bounds: Bounds
 ) -> tuple[np.ndarray, np.ndarray]:
     """Take one step by optimality criteria: design and filtered density, whose mean is the
     volume.
     """
-    inside = smooth.inside
-    least = np.maximum(settings["low"], design - _MOVE)
-    most = np.minimum(settings["high"], design + _MOVE)
+    inside = bounds.inside
+    least = np.maximum(bounds.low, design - _MOVE)
+    most = np.minimum(bounds.high, design + _MOVE)
     share = np.where(inside, gain / np.where(inside, smooth.back(inside.astype(float)), 1), 0)
     below, above = 0.0, float(share.max()) * 1e6 + 1e-300
-    wanted = settings["volume"] * np.count_nonzero(inside)
+    wanted = bounds.volume * np.count_nonzero(inside)
     for _ in range(200):
         price = (below + above) / 2 if below == 0 or above / below < 4 else np.sqrt(below * above)
         step = np.where(inside, np.clip(design * np.sqrt(share / price), least, most), 0)
         density = smooth(step)
+        density[bounds.solid] = bounds.high
         held = density.sum()
         if abs(held - wanted) < 1e-7 * wanted or above - below < 1e-14 * above:
             break
