@@ -5,10 +5,12 @@ topology optimisation.
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+from trabecula.core.errors import InputError
 
 KINDS = {
     "measure": "of an image: a descriptor of the window around every voxel",
@@ -284,7 +286,22 @@ def _add_simp(parser: argparse.ArgumentParser) -> None:
         "case", metavar="CASE", help="cantilever, wheel, or a .json file with supports and loads"
     )
     parser.add_argument(
-        "--elements", nargs="+", metavar="N", help="elements along z (up) y x (default: the case's)"
+        "--elements",
+        nargs="+",
+        metavar="N",
+        help="elements along z (up) y x (default: the case's); with --mask: along the longest side "
+        "(default 48)",
+    )
+    parser.add_argument(
+        "--mask",
+        metavar="FILE",
+        help="the part: a closed surface (.stl .obj ...), or a volume of which each voxel is an "
+        "element",
+    )
+    parser.add_argument(
+        "--directions",
+        metavar="FILE.npy",
+        help="also write the direction of the largest principal stress: z, y, x of every element",
     )
     parser.add_argument(
         "--shape", nargs="+", metavar="N", help="voxels of the field (default: one an element)"
@@ -306,18 +323,53 @@ def _add_simp(parser: argparse.ArgumentParser) -> None:
 
 
 def _simp(fields: Any, options: argparse.Namespace) -> Any:
-    given = {
+    import numpy as np
+
+    from trabecula.engine.files import replacing
+
+    if options.directions is not None and Path(options.directions).suffix != ".npy":
+        raise InputError(f"--directions {options.directions}: directions are written as .npy")
+    words = {
         name: getattr(options, name) for name in ("volume", "low", "high", "penalty", "radius")
     }
     numbers: dict[str, Any] = {
-        name: _number(word, f"--{name}") for name, word in given.items() if word is not None
+        name: _number(word, f"--{name}") for name, word in words.items() if word is not None
     }
     elements = shared.integers(options.elements, name="--elements") if options.elements else None
     spacing = shared.numbers(options.spacing, name="--spacing") if options.spacing else None
-    field = fields.simp(options.case, elements, spacing=spacing, unit=options.unit, **numbers)
+    given: dict[str, Any] = {"shape": elements, "spacing": spacing, "unit": options.unit}
+    chosen = fields.case(options.case)
+    part: dict[str, Any] = {}
+    if options.mask is not None:
+        given, part = _part(options, chosen, elements)
+    field = fields.simp(chosen, **given, **part, **numbers)
+    if options.directions is not None:
+        penalty = numbers.get("penalty")
+        stress = fields.principal_stress(field, chosen, **part, penalty=penalty)
+        with replacing(Path(options.directions)) as temporary:
+            np.save(temporary, stress.direction)
     if options.shape is None:
         return field
     return fields.resample(field, shared.integers(options.shape, name="--shape"))
+
+
+def _part(options: argparse.Namespace, chosen: Any, elements: Any) -> tuple[Any, Any]:
+    """Return shape, spacing and unit of a part's elements, and the part."""
+    from trabecula.pipeline.designs import load_part
+
+    if options.spacing is not None:
+        raise InputError("--spacing beside --mask: the part says how large its elements are")
+    if elements is not None and len(elements) != 1:
+        raise InputError("--elements with --mask is one number: along the part's longest side")
+    found = load_part(
+        options.mask,
+        chosen,
+        elements=None if elements is None else elements[0],
+        folders=(Path(options.case).parent, "."),
+    )
+    image = found.image
+    given = {"shape": image.shape, "spacing": image.spacing, "unit": image.unit}
+    return given, {"mask": image, "marks": found.marks}
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:

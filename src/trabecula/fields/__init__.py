@@ -13,7 +13,7 @@ from trabecula.fields.grid import formula, picture, radial, ramp
 from trabecula.fields.interpolate import fill, interpolate, resample, rescale
 from trabecula.fields.local import directions, measure, windowed
 from trabecula.fields.solver_result import import_result
-from trabecula.fields.topology import case, simp
+from trabecula.fields.topology import PrincipalStress, case, principal_stress, simp
 
 # By their names in a recipe's step, so that it can be replayed.
 FROM_AN_IMAGE: dict[str, Callable[..., Image]] = {
@@ -36,6 +36,7 @@ FROM_NOTHING: dict[str, Callable[..., Image]] = {
 __all__ = [
     "FROM_AN_IMAGE",
     "FROM_NOTHING",
+    "PrincipalStress",
     "case",
     "density_like",
     "directions",
@@ -45,6 +46,7 @@ __all__ = [
     "interpolate",
     "measure",
     "picture",
+    "principal_stress",
     "radial",
     "ramp",
     "resample",

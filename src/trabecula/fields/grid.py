@@ -49,6 +49,17 @@ def as_region(given: ArrayLike, shape: tuple[int, ...], *, name: str) -> np.ndar
     return region
 
 
+def part_region(mask: Image | ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the elements of a part, bool of `shape`: all where there is no mask, of an Image of
+    labels all but the phase "void".
+    """
+    if mask is None:
+        return np.ones(shape, bool)
+    if isinstance(mask, Image) and mask.kind == "labels":
+        mask = mask.values != (mask.phases.index("void") if "void" in mask.phases else 0)
+    return as_region(mask, shape, name="the mask")
+
+
 def middles(shape: Sequence[int], spacing: Sequence[float]) -> list[np.ndarray]:
     """Return the positions of the voxels' middles along every axis, from 0 at the first face.
 

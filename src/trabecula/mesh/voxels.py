@@ -25,6 +25,7 @@ from trabecula.engine.parallel import for_slabs
 from trabecula.mesh import kernels
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.check import check_closed
+from trabecula.mesh.triangle_grid import sample_triangles
 from trabecula.mesh.weld import weld
 
 
@@ -100,6 +101,47 @@ def voxelise(
     settings = {"mesh": mesh.recipe, "spacing": edges, "shape": sides, "origin": corner}
     recipe = Recipe().then("voxelise", solid, **settings)
     return Image(solid, "labels", edges, mesh.unit, recipe=recipe)
+
+
+def mark_surface(
+    mesh: Mesh,
+    *,
+    spacing: float | Sequence[float],
+    shape: int | Sequence[int],
+    origin: Sequence[float],
+) -> np.ndarray:
+    """Return the voxels that a surface goes through, closed or not: (Z, Y, X) bool.
+
+    The surface is looked at every quarter of a voxel, so corners that it only grazes may be left.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    spacing, shape, origin
+        Of the grid, as of `voxelise`.
+
+    Raises
+    ------
+    InputError
+        The surface lies outside of the grid.
+    """
+    check_type(mesh, Mesh, name="mesh", advice="tb.read_mesh gives one of a file")
+    edges = np.array(as_spacing(spacing, ndim=3))
+    sides = as_shape(shape)
+    points = (mesh.vertices[:, ::-1].astype(np.float64) - np.array(origin, float)) / edges
+    found = np.concatenate(
+        [points[np.unique(mesh.faces)], sample_triangles(points, mesh.faces, 0.25)]
+    )
+    # half a voxel beyond counts as the voxel at the rim, on which the surface then lies
+    near = ((found > -0.5) & (found < np.array(sides) + 0.5)).all(axis=1)
+    if not near.any():
+        raise InputError(
+            "the painted mesh lies outside of the part: give both in the same coordinates"
+        )
+    at = np.clip(np.floor(found[near]).astype(np.int64), 0, np.array(sides) - 1)
+    marked = np.zeros(sides, bool)
+    marked[tuple(at.T)] = True
+    return marked
 
 
 def scale_mesh(mesh: Mesh, factor: float, *, unit: str | None = None) -> Mesh:

@@ -370,6 +370,14 @@ def _repeat_field(image: Image | None, step: Mapping[str, Any], sources: RecipeF
     check_name(step["make"], fields.FROM_NOTHING, name="field of a recipe")
     if "path" in settings:  # of a solver's result
         settings["path"] = sources.find(settings["path"])
+    if isinstance(settings.get("mask"), str) or "marks" in settings:
+        raise InputError(
+            "the recipe's part was an array in memory, or it has painted meshes: this field cannot "
+            "be made again from its recipe"
+        )
+    if "mask" in settings:
+        recipe = Recipe.from_json(settings["mask"])
+        settings["mask"] = _replay_steps(recipe, sources.inside("mask"))
     return fields.FROM_NOTHING[step["make"]](**settings)
 
 

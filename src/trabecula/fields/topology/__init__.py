@@ -3,5 +3,18 @@
 from trabecula.fields.topology.cases import CASES, Case, Load, LoadCase, Region, Support, case
 from trabecula.fields.topology.optimise import simp
 from trabecula.fields.topology.places import Place
+from trabecula.fields.topology.stress import PrincipalStress, principal_stress
 
-__all__ = ["CASES", "Case", "Load", "LoadCase", "Place", "Region", "Support", "case", "simp"]
+__all__ = [
+    "CASES",
+    "Case",
+    "Load",
+    "LoadCase",
+    "Place",
+    "PrincipalStress",
+    "Region",
+    "Support",
+    "case",
+    "principal_stress",
+    "simp",
+]

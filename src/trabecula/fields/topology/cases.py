@@ -12,7 +12,15 @@ from typing import Any
 
 from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
-from trabecula.fields.topology.places import ALL, EVERYWHERE, Box, Place, read_place, write_place
+from trabecula.fields.topology.places import (
+    ALL,
+    EVERYWHERE,
+    Box,
+    PartNodes,
+    Place,
+    read_place,
+    write_place,
+)
 from trabecula.io.guard import check_there, report_damage
 
 
@@ -253,3 +261,19 @@ def _box_of(given: Mapping[str, Any]) -> Box:
 def _three(given: Sequence[float]) -> tuple[float, float, float]:
     z, y, x = (float(part) for part in given)
     return z, y, x
+
+
+def without_keep_outs(of: Case, part: PartNodes) -> PartNodes:
+    """Return a part without the elements that a case keeps out.
+
+    Raises
+    ------
+    InputError
+        Nothing is left.
+    """
+    for region in of.keep_out:
+        inside = part.inside & ~part.elements(region.box, region.place, region.depth)
+        part = PartNodes(inside, part.marks, part.edges)
+    if not part.inside.any():
+        raise InputError(f"case {of.name!r} keeps out the whole part: leave some of it")
+    return part

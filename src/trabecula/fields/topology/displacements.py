@@ -15,6 +15,7 @@ import numpy as np
 
 from trabecula.core.errors import InputError
 from trabecula.fields.topology.elements import ElementGrid, dot
+from trabecula.fields.topology.places import at_corners
 from trabecula.numerics.krylov import Iterate, LinearSystem, conjugate_gradients
 from trabecula.numerics.multigrid import Multigrid, v_cycle
 
@@ -151,9 +152,9 @@ def build_levels(grid: ElementGrid, density: np.ndarray) -> list[DensityLevel]:
 
 def _coarsen(grid: ElementGrid, inside: np.ndarray) -> ElementGrid:
     """Return the next grid: a node is held where the fine one at its place is, or an odd one
-    beside it, which has none at its own place.
+    beside it, which has none at its own place. Nodes outside of the part hold nothing.
     """
-    held = ~grid.free
+    held = ~grid.free & at_corners(grid.inside)[..., None]
     for axis, side in enumerate(inside.shape):
         fine = [np.zeros_like(held.take([0], axis)), held]
         missing = 2 * side + 2 - held.shape[axis]  # beyond the far face of an odd side
@@ -163,7 +164,11 @@ def _coarsen(grid: ElementGrid, inside: np.ndarray) -> ElementGrid:
         held = long.take(at, axis) | long.take(at - 1, axis) | long.take(at + 1, axis)
     # A brick twice as large is twice as stiff.
     return replace(
-        grid, stiffness=2 * grid.stiffness, inside=inside, free=~held, load=np.zeros(held.shape)
+        grid,
+        stiffness=2 * grid.stiffness,
+        inside=inside,
+        free=~held & at_corners(inside)[..., None],
+        load=np.zeros(held.shape),
     )
 
 

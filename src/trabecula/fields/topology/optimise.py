@@ -22,8 +22,8 @@ from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.recipe import digest
 from trabecula.engine.memory import Plan, check_budget
-from trabecula.fields.grid import as_field, as_region
-from trabecula.fields.topology.cases import Case, case, to_json
+from trabecula.fields.grid import as_field, as_region, part_region
+from trabecula.fields.topology.cases import Case, case, to_json, without_keep_outs
 from trabecula.fields.topology.displacements import solve_displacements
 from trabecula.fields.topology.elements import ElementGrid
 from trabecula.fields.topology.places import PartNodes
@@ -43,7 +43,7 @@ def simp(
     high: float | None = None,
     penalty: float | None = None,
     radius: float = 1.5,
-    mask: ArrayLike | None = None,
+    mask: Image | ArrayLike | None = None,
     marks: Mapping[str, ArrayLike] | None = None,
     poisson: float = 0.3,
     rounds: int = 80,
@@ -69,9 +69,9 @@ def simp(
         Exponent from density to stiffness, 1 .. 5. Default: the case's (the paper's 1).
     radius : float
         Of the density filter in elements; up to 1: none.
-    mask : (Z, Y, X) bool array, optional
-        Elements of the part; elsewhere the density is `low` in the result and there is nothing in
-        the mechanics.
+    mask : (Z, Y, X) bool array or Image of labels, optional
+        Elements of the part, of an Image all but the phase "void"; elsewhere the density is `low`
+        in the result and there is nothing in the mechanics.
     marks : mapping of str to (Z, Y, X) bool array, optional
         Elements that painted meshes go through, by the names that the case gives them.
     poisson : float
@@ -127,7 +127,7 @@ def simp(
     }
     settings = _check_settings(settings)
     edges = as_spacing(spacing, ndim=3)
-    whole = np.ones(sides, bool) if mask is None else as_region(mask, sides, name="the mask")
+    whole = part_region(mask, sides)
     painted = {
         name: as_region(one, sides, name=f"mark {name!r}") for name, one in (marks or {}).items()
     }
@@ -135,7 +135,8 @@ def simp(
     field = np.where(whole, density, settings["low"])
     parameters = {"of": to_json(chosen), "shape": sides, **settings, "spacing": edges, "unit": unit}
     if mask is not None:
-        parameters["mask"] = digest(whole.view(np.uint8))
+        made = mask.recipe.to_json() if isinstance(mask, Image) else []
+        parameters["mask"] = made or digest(whole.view(np.uint8))
     if painted:
         parameters["marks"] = {name: digest(one.view(np.uint8)) for name, one in painted.items()}
     return as_field(
@@ -182,13 +183,7 @@ class Design:
     def nodes(self) -> PartNodes:
         """Return the part without what is kept out."""
         unit_edges = tuple(edge / min(self.edges) for edge in self.edges)
-        part = PartNodes(self.part, self.marks, unit_edges)
-        for region in self.case.keep_out:
-            inside = part.inside & ~part.elements(region.box, region.place, region.depth)
-            part = PartNodes(inside, self.marks, unit_edges)
-        if not part.inside.any():
-            raise InputError(f"case {self.case.name!r} keeps out the whole part: leave some of it")
-        return part
+        return without_keep_outs(self.case, PartNodes(self.part, self.marks, unit_edges))
 
     def halved(self) -> Design:
         """Return the design on elements of twice the edge, where any of eight is inside."""
@@ -210,7 +205,7 @@ def _optimise(design: Design) -> tuple[np.ndarray, list[float]]:
     for region in design.case.solid:
         solid |= part.elements(region.box, region.place, region.depth)
     _check_solid(solid, inside, settings)
-    grid = ElementGrid.of(design.case, part, edges=tuple(part.edges), poisson=settings["poisson"])
+    grid = ElementGrid.of(design.case, part, edges=part.edges, poisson=settings["poisson"])
     grids = grid.loaded(design.case, part)
     smooth = DensityFilter(inside, settings["radius"])
     bounds = Bounds(inside, solid, settings["low"], settings["high"], settings["volume"])

@@ -1,4 +1,4 @@
-"""Places on a part: nodes in a box, on a plane, where the surface faces a way, or at a painted mesh."""
+"""Places on a part: nodes in a box, on a plane, where its surface faces, or at a painted mesh."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ class Place:
     Parameters
     ----------
     normal : three floats, optional
-        Nodes of the surface that faces this way (z, y, x), by `within` degrees.
+        Nodes of the surface that faces this way (z, y, x), by `within` degrees. Normals are those
+        of the form levelled over some elements: at an edge they turn by half its angle, so 60
+        degrees take a flat face up to its edges, and 30 leave them out.
     within : float
     through, across : three floats, optional
         Nodes of the plane through a point, in shares of the sides, with this normal.
@@ -132,7 +134,8 @@ class PartNodes:
         marks: Mapping[str, np.ndarray] | None = None,
         edges: Sequence[float] = (1.0, 1.0, 1.0),
     ) -> None:
-        self.inside, self.marks, self.edges = inside, dict(marks or {}), np.array(edges)
+        self.inside, self.marks = inside, dict(marks or {})
+        self.edges = tuple(float(edge) for edge in edges)
         self.present = at_corners(inside)
         self._normals: np.ndarray | None = None
 
@@ -147,8 +150,9 @@ class PartNodes:
         found = nodes_of(box, self.inside.shape) & self.present
         if place.normal is not None:
             wanted = np.array(place.normal) / np.linalg.norm(place.normal)
-            facing = self._outward() @ wanted
-            found &= facing >= math.cos(math.radians(place.within)) - 1e-12
+            outward = self._outward()
+            found &= outward.any(axis=-1)
+            found &= outward @ wanted >= math.cos(math.radians(place.within)) - 1e-12
         if place.through is not None and place.across is not None:
             found &= self._on_plane(np.array(place.through), np.array(place.across))
         if place.mesh is not None:
@@ -169,7 +173,7 @@ class PartNodes:
             for side, at, edge, part in zip(sides, through, self.edges, unit, strict=True)
         ]
         far = sum(np.ix_(*lines))
-        return np.asarray(np.abs(far) <= 0.5 * float(np.abs(unit) @ self.edges) + 1e-9)
+        return np.asarray(np.abs(far) <= 0.5 * float(np.abs(unit) @ np.array(self.edges)) + 1e-9)
 
     def _outward(self) -> np.ndarray:
         """Return the unit normals of the surface at its nodes, 0 elsewhere."""
@@ -199,7 +203,7 @@ class PartNodes:
             (middle >= low - 1e-9) & (middle <= high + 1e-9)
             for middle, (low, high) in zip(middles, box, strict=True)
         ]
-        found = np.logical_and.reduce(np.ix_(*lines))
+        found = lines[0][:, None, None] & lines[1][None, :, None] & lines[2][None, None, :]
         if place != ALL:
             layer = elements_at(self.pick(EVERYWHERE, place))
             for _ in range(depth - 1):

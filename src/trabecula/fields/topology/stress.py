@@ -1,0 +1,140 @@
+"""Where the stress goes in a part under its loads: the principal directions of every element."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from trabecula.core.checks import as_number
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image
+from trabecula.fields.grid import as_region, part_region
+from trabecula.fields.topology.cases import Case, case, without_keep_outs
+from trabecula.fields.topology.displacements import solve_displacements
+from trabecula.fields.topology.elements import ElementGrid
+from trabecula.fields.topology.places import PartNodes
+from trabecula.measure.mechanics.elements import CORNERS, isotropic, mean_strain
+
+_BALANCE, _STEPS = 1e-4, 1000  # residual of the displacements, and their steps at most
+
+
+@dataclass(frozen=True, eq=False)
+class PrincipalStress:
+    """The principal stress of largest magnitude in every element of a part."""
+
+    direction: np.ndarray
+    """(Z, Y, X, 3) float32: unit vectors z, y, x, the first component that is not 0 positive; 0
+    where there is no element."""
+    stress: np.ndarray
+    """(Z, Y, X) float32: its size, above 0 where it pulls, in the unit of the forces over that of
+    the element's area, for elements of Young's modulus 1."""
+    compliance: tuple[float, ...]
+    """Work of the loads, of each load case."""
+
+
+def principal_stress(
+    density: Image | ArrayLike,
+    of: str | Path | Mapping[str, Any] | Case,
+    *,
+    mask: Image | ArrayLike | None = None,
+    marks: Mapping[str, ArrayLike] | None = None,
+    penalty: float | None = None,
+    poisson: float = 0.3,
+) -> PrincipalStress:
+    """Find the direction in which every element of a part is pulled or pressed most.
+
+    Material laid along it carries the loads by tension and compression (Wolff's law). Of several
+    load cases an element has the direction of that which stresses it most.
+
+    Parameters
+    ----------
+    density : Image or array, (Z, Y, X)
+        As `simp` returns it, with the spacing of the elements: 0.001 .. 1.
+    of, mask, marks, penalty, poisson
+        As of `simp`.
+
+    Returns
+    -------
+    found : PrincipalStress
+
+    Raises
+    ------
+    InputError
+        As `simp`; densities out of range.
+
+    Examples
+    --------
+    >>> bar = {"shape": (2, 2, 8), "supports": [{"box": [(0, 1), (0, 1), (0, 0)]}],
+    ...        "loads": [{"box": [(0, 1), (0, 1), (1, 1)], "force": (0, 0, 1)}]}
+    >>> found = principal_stress(np.full((2, 2, 8), 0.5), bar)
+    >>> found.direction[1, 1, 4].round(3).tolist(), bool(found.stress[1, 1, 4] > 0)
+    ([0.0, 0.0, 1.0], True)
+    """
+    chosen = case(of)
+    image = (
+        density if isinstance(density, Image) else Image(np.asarray(density, np.float32), "grey")
+    )
+    values = np.asarray(image.values, np.float64)
+    if values.ndim != 3:
+        raise InputError(f"the density has shape {values.shape}: give a volume (Z, Y, X)")
+    exponent = chosen.penalty if penalty is None else penalty
+    exponent = as_number(exponent, name="penalty", low=1.0, high=5.0)
+    ratio = as_number(poisson, name="poisson", low=-0.9, high=0.45)
+    if not (values.min() >= 0 and values.max() <= 1):
+        raise InputError(
+            f"the density runs from {values.min():.4g} to {values.max():.4g}: give shares 0 .. 1"
+        )
+    sides = values.shape
+    inside = part_region(mask, sides)
+    painted = {
+        name: as_region(one, sides, name=f"mark {name!r}") for name, one in (marks or {}).items()
+    }
+    edges = tuple(edge / min(image.spacing) for edge in image.spacing)
+    part = without_keep_outs(chosen, PartNodes(inside, painted, edges))
+    grid = ElementGrid.of(chosen, part, edges=edges, poisson=ratio)
+    stiff = np.where(part.inside, np.maximum(values, 1e-3) ** exponent, 0.0)
+    direction = np.zeros((*sides, 3), np.float32)
+    stress = np.zeros(sides, np.float32)
+    compliance = []
+    material = isotropic(1.0, ratio)
+    to_strain = mean_strain(edges)
+    for _, loaded in grid.loaded(chosen, part):
+        start = np.zeros_like(loaded.load)
+        u = solve_displacements(loaded, stiff, start, tolerance=_BALANCE, most=_STEPS)
+        compliance.append(float((stiff * loaded.energy(u)).sum()))
+        for z in range(sides[0]):
+            one, size = _principal(to_strain, material, u[z : z + 2], stiff[z])
+            larger = np.abs(size) > np.abs(stress[z])
+            stress[z] = np.where(larger, size, stress[z])
+            direction[z] = np.where(larger[..., None], one, direction[z])
+    return PrincipalStress(direction, stress, tuple(compliance))
+
+
+def _principal(
+    to_strain: np.ndarray, material: np.ndarray, u: np.ndarray, stiff: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return direction (Y, X, 3) and size (Y, X) of the largest principal stress of a layer of
+    elements, from the displacements of its two layers of nodes.
+    """
+    height, width = stiff.shape
+    strain = np.zeros((height, width, 6))
+    for corner, part in zip(CORNERS, to_strain.transpose(1, 0, 2), strict=True):
+        z, y, x = corner
+        strain += u[z, y : y + height, x : x + width] @ part.T
+    voigt = stiff[..., None] * (strain @ material)
+    tensor = np.zeros((height, width, 3, 3))
+    for axis in range(3):  # Voigt's order is xx, yy, zz
+        tensor[..., axis, axis] = voigt[..., 2 - axis]
+    for (i, j), shear in zip(((0, 1), (0, 2), (1, 2)), (3, 4, 5), strict=True):
+        tensor[..., i, j] = tensor[..., j, i] = voigt[..., shear]
+    values, vectors = np.linalg.eigh(tensor)
+    most = np.abs(values).argmax(axis=-1)
+    size = np.take_along_axis(values, most[..., None], axis=-1)[..., 0]
+    found = np.take_along_axis(vectors, most[..., None, None], axis=-1)[..., 0]
+    lead = np.take_along_axis(found, (np.abs(found) > 1e-6).argmax(axis=-1)[..., None], axis=-1)
+    return np.where(lead < 0, -found, found) * (stiff > 0)[..., None], size
