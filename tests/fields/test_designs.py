@@ -1,4 +1,4 @@
-"""Parts under loads: places on them, load cases, solid regions, keep-outs, and where stress goes."""
+"""Parts under loads: places, load cases, solid regions, keep-outs, and where stress goes."""
 
 import json
 

@@ -51,7 +51,7 @@ class PropertyMatch:
         The request that made it, with that porosity as target.
     name : str
     asked, value : float
-        What was asked for, and what the image has.
+        The property's goal, and what the image has.
     within : float
         Relative error that was allowed.
     trials : tuple of (float, float)

@@ -46,7 +46,7 @@ class Load:
 
 
 @dataclass(frozen=True)
-class LoadCase:
+class LoadSet:
     """Loads that act together, at another time than other cases'."""
 
     loads: tuple[Load, ...]
@@ -55,7 +55,7 @@ class LoadCase:
 
 
 @dataclass(frozen=True)
-class Region:
+class FixedRegion:
     """Elements that the design does not decide."""
 
     box: Box = EVERYWHERE
@@ -76,9 +76,9 @@ class Case:
     supports : tuple of Support
     loads : tuple of Load
         Acting together.
-    load_cases : tuple of LoadCase
+    load_cases : tuple of LoadSet
         Further loads, each acting alone: the sum of the compliances is made small.
-    solid, keep_out : tuple of Region
+    solid, keep_out : tuple of FixedRegion
         Elements that are as dense as the bounds allow, and elements that are left out.
     volume, low, high, penalty : float
         Mean, bounds and exponent of the density that the case is usually run with.
@@ -93,14 +93,14 @@ class Case:
     low: float = 0.3
     high: float = 0.85
     penalty: float = 1.0
-    load_cases: tuple[LoadCase, ...] = ()
-    solid: tuple[Region, ...] = ()
-    keep_out: tuple[Region, ...] = ()
+    load_cases: tuple[LoadSet, ...] = ()
+    solid: tuple[FixedRegion, ...] = ()
+    keep_out: tuple[FixedRegion, ...] = ()
 
     @property
-    def alone(self) -> tuple[LoadCase, ...]:
+    def alone(self) -> tuple[LoadSet, ...]:
         """Return all loads as cases that act alone, each with its weight."""
-        first = (LoadCase(self.loads),) if self.loads or not self.load_cases else ()
+        first = (LoadSet(self.loads),) if self.loads or not self.load_cases else ()
         return first + self.load_cases
 
 
@@ -199,7 +199,7 @@ def _from_mapping(given: Any) -> Case:
             Support(_box_of(s), str(s.get("axes", "zyx")), read_place(s)) for s in given["supports"]
         )
         load_cases = tuple(
-            LoadCase(_loads_of(one["loads"]), _weight(one.get("weight", 1.0)))
+            LoadSet(_loads_of(one["loads"]), _weight(one.get("weight", 1.0)))
             for one in given.get("load_cases", ())
         )
         z, y, x = (int(side) for side in given["shape"])
@@ -235,8 +235,10 @@ def _loads_of(given: Any) -> tuple[Load, ...]:
     return tuple(Load(_box_of(one), _three(one["force"]), read_place(one)) for one in given)
 
 
-def _regions_of(given: Any) -> tuple[Region, ...]:
-    found = tuple(Region(_box_of(one), read_place(one), int(one.get("depth", 1))) for one in given)
+def _regions_of(given: Any) -> tuple[FixedRegion, ...]:
+    found = tuple(
+        FixedRegion(_box_of(one), read_place(one), int(one.get("depth", 1))) for one in given
+    )
     if any(one.depth < 1 for one in found):
         raise ValueError("the depth of a region is at least 1")
     return found

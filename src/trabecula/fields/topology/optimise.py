@@ -70,8 +70,8 @@ def simp(
     radius : float
         Of the density filter in elements; up to 1: none.
     mask : (Z, Y, X) bool array or Image of labels, optional
-        Elements of the part, of an Image all but the phase "void"; elsewhere the density is `low`
-        in the result and there is nothing in the mechanics.
+        Elements of the part, of an Image all but the phase "void"; elsewhere, as where the case
+        keeps out, the density is `low` in the result and there is nothing in the mechanics.
     marks : mapping of str to (Z, Y, X) bool array, optional
         Elements that painted meshes go through, by the names that the case gives them.
     poisson : float
@@ -132,7 +132,7 @@ def simp(
         name: as_region(one, sides, name=f"mark {name!r}") for name, one in (marks or {}).items()
     }
     density, compliance = _optimise(Design(chosen, whole, painted, edges, settings))
-    field = np.where(whole, density, settings["low"])
+    field = np.where(density > 0, density, settings["low"])
     parameters = {"of": to_json(chosen), "shape": sides, **settings, "spacing": edges, "unit": unit}
     if mask is not None:
         made = mask.recipe.to_json() if isinstance(mask, Image) else []
