@@ -16,7 +16,7 @@ from trabecula.errors import FileError, InputError, MemoryBudgetError, UnknownNa
 from trabecula.fields.topology.cases import CASES, Case, Load, Support, case, to_json
 from trabecula.fields.topology.displacements import DensitySystem, solve_displacements
 from trabecula.fields.topology.elements import ElementGrid
-from trabecula.fields.topology.optimise import _BYTES, DensityFilter
+from trabecula.fields.topology.optimise import ELEMENT_BYTES, DensityFilter
 from trabecula.fields.topology.places import nodes_of
 from trabecula.measure.mechanics.elements import CORNERS
 
@@ -231,7 +231,7 @@ def test_memory_stays_below_what_is_checked():
     fields.simp("cantilever", shape, rounds=3)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < _BYTES * np.prod(shape) * 1.1
+    assert peak < ELEMENT_BYTES * np.prod(shape) * 1.1
 
 
 def test_a_load_is_shared_by_the_nodes_that_it_meets():

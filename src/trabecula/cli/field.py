@@ -21,6 +21,7 @@ KINDS = {
     "picture": "drawn: black is --low, white is --high",
     "interpolate": "from values at points, by inverse distance",
     "simp": "the density of the stiffest part under its loads",
+    "stress": "of a finished part: its stress under the loads of a case",
     "import": "of a solver's result: an array of its mesh on the voxels of an image",
 }
 
@@ -372,6 +373,41 @@ def _part(options: argparse.Namespace, chosen: Any, elements: Any) -> tuple[Any,
     return given, {"mask": image, "marks": found.marks}
 
 
+def _add_stress(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE", help="the part: a volume of labels")
+    parser.add_argument(
+        "case", metavar="CASE", help="cantilever, wheel, or a .json file with supports and loads"
+    )
+    parser.add_argument("--phase", metavar="NAME", help="what carries (default: solid)")
+    parser.add_argument(
+        "--mask",
+        metavar="FILE",
+        help="the form that the part fills: a volume of labels of the same shape (default: all)",
+    )
+    shared.add_reading(parser)
+
+
+def _stress(fields: Any, options: argparse.Namespace) -> Any:
+    from trabecula.pipeline.inputs import load
+
+    image = shared.load_exemplar(options.file, options)
+    mask = None if options.mask is None else load(options.mask)
+    field = fields.part_stress(image, options.case, phase=options.phase, mask=mask)
+    report = field.recipe.steps[-1]["report"]
+    for n, (got, solid) in enumerate(
+        zip(report["compliance"], report["solid_compliance"], strict=True), start=1
+    ):
+        terminal.note(f"load case {n}: {got / solid:.4g} times as compliant as solid throughout")
+    where = ", ".join(" ".join(map(str, place)) for place in report["weakest"][:3])
+    terminal.note(
+        f"largest stress {report['largest']:.4g}, 99 % of the solid below {report['99 %']:.4g}; "
+        f"most stressed at z y x {where}"
+    )
+    if report["loose"] > 0:
+        terminal.note(f"{report['loose']:.2%} of the solid is held by nothing and was left out")
+    return field
+
+
 def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "file", metavar="RESULT", help="what a solver wrote: .vtu, .vti, .vtk, or .frd of CalculiX"
@@ -433,6 +469,7 @@ _ARGUMENTS = {
     "picture": _add_picture,
     "interpolate": _add_interpolate,
     "simp": _add_simp,
+    "stress": _add_stress,
     "import": _add_import,
 }
 _MAKERS = {
@@ -444,5 +481,6 @@ _MAKERS = {
     "picture": _picture,
     "interpolate": _interpolate,
     "simp": _simp,
+    "stress": _stress,
     "import": _import,
 }

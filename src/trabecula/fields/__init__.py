@@ -13,7 +13,13 @@ from trabecula.fields.grid import formula, picture, radial, ramp
 from trabecula.fields.interpolate import fill, interpolate, resample, rescale
 from trabecula.fields.local import directions, measure, windowed
 from trabecula.fields.solver_result import import_result
-from trabecula.fields.topology import PrincipalStress, case, principal_stress, simp
+from trabecula.fields.topology import (
+    PrincipalStress,
+    case,
+    part_stress,
+    principal_stress,
+    simp,
+)
 
 # By their names in a recipe's step, so that it can be replayed.
 FROM_AN_IMAGE: dict[str, Callable[..., Image]] = {
@@ -23,6 +29,7 @@ FROM_AN_IMAGE: dict[str, Callable[..., Image]] = {
     "resample": resample,
     "rescale": rescale,
     "fill": fill,
+    "part_stress": part_stress,
 }
 FROM_NOTHING: dict[str, Callable[..., Image]] = {
     "ramp": ramp,
@@ -45,6 +52,7 @@ __all__ = [
     "import_result",
     "interpolate",
     "measure",
+    "part_stress",
     "picture",
     "principal_stress",
     "radial",

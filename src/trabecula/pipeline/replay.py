@@ -365,11 +365,6 @@ def _repeat_finish(image: Image | None, step: Mapping[str, Any], sources: Recipe
 
 def _repeat_field(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
     settings = dict(step["settings"])
-    if step["make"] in fields.FROM_AN_IMAGE:
-        return fields.FROM_AN_IMAGE[step["make"]](_require(image), **settings)
-    check_name(step["make"], fields.FROM_NOTHING, name="field of a recipe")
-    if "path" in settings:  # of a solver's result
-        settings["path"] = sources.find(settings["path"])
     if isinstance(settings.get("mask"), str) or "marks" in settings:
         raise InputError(
             "the recipe's part was an array in memory, or it has painted meshes: this field cannot "
@@ -378,6 +373,11 @@ def _repeat_field(image: Image | None, step: Mapping[str, Any], sources: RecipeF
     if "mask" in settings:
         recipe = Recipe.from_json(settings["mask"])
         settings["mask"] = _replay_steps(recipe, sources.inside("mask"))
+    if step["make"] in fields.FROM_AN_IMAGE:
+        return fields.FROM_AN_IMAGE[step["make"]](_require(image), **settings)
+    check_name(step["make"], fields.FROM_NOTHING, name="field of a recipe")
+    if "path" in settings:  # of a solver's result
+        settings["path"] = sources.find(settings["path"])
     return fields.FROM_NOTHING[step["make"]](**settings)
 
 

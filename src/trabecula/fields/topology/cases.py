@@ -275,7 +275,7 @@ def without_keep_outs(of: Case, part: PartNodes) -> PartNodes:
     """
     for region in of.keep_out:
         inside = part.inside & ~part.elements(region.box, region.place, region.depth)
-        part = PartNodes(inside, part.marks, part.edges)
+        part = PartNodes(inside, part.marks, part.edges, part.form)
     if not part.inside.any():
         raise InputError(f"case {of.name!r} keeps out the whole part: leave some of it")
     return part

@@ -31,7 +31,7 @@ from trabecula.fields.topology.places import PartNodes
 _MOVE = 0.2  # the most that a density changes in a round
 _BALANCE, _STEPS = 1e-4, 1000  # residual of the displacements, and their steps at most
 _MANY = 100_000  # elements from which a coarser design is the start
-_BYTES = 500  # of an element: a dozen fields at nodes of three components, and the densities
+ELEMENT_BYTES = 500  # of an element: a dozen fields at nodes of three components, and the densities
 
 
 def simp(
@@ -110,7 +110,7 @@ def simp(
     chosen = case(of)
     sides = as_shape(chosen.shape if shape is None else shape)
     check_budget(
-        Plan({"elements": _BYTES * int(np.prod(sides))}),
+        Plan({"elements": ELEMENT_BYTES * int(np.prod(sides))}),
         budget=memory,
         advice="ask for fewer elements",
     )

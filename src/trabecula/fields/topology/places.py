@@ -126,6 +126,8 @@ class PartNodes:
         Elements that painted meshes go through, by the name of the mesh.
     edges : three floats
         Of an element.
+    form : (Z, Y, X) bool, optional
+        The form whose surface is meant, where the elements are its material. Default: `inside`.
     """
 
     def __init__(
@@ -133,8 +135,10 @@ class PartNodes:
         inside: np.ndarray,
         marks: Mapping[str, np.ndarray] | None = None,
         edges: Sequence[float] = (1.0, 1.0, 1.0),
+        form: np.ndarray | None = None,
     ) -> None:
         self.inside, self.marks = inside, dict(marks or {})
+        self.form = inside if form is None else form
         self.edges = tuple(float(edge) for edge in edges)
         self.present = at_corners(inside)
         self._normals: np.ndarray | None = None
@@ -178,7 +182,7 @@ class PartNodes:
     def _outward(self) -> np.ndarray:
         """Return the unit normals of the surface at its nodes, 0 elsewhere."""
         if self._normals is None:
-            padded = np.pad(self.inside, 3).astype(np.float32)
+            padded = np.pad(self.form, 3).astype(np.float32)
             level = gaussian(padded, _SMOOTH)
             slopes = [
                 sum(sign * level[_shifted(corner, level.shape)] for corner, sign in _signs(axis))
@@ -187,7 +191,7 @@ class PartNodes:
             ]
             normals = -np.stack(slopes, axis=-1)[2:-2, 2:-2, 2:-2].astype(np.float64)
             length = np.linalg.norm(normals, axis=-1)
-            rim = self.present & at_corners(~np.pad(self.inside, 1))[1:-1, 1:-1, 1:-1]
+            rim = at_corners(self.form) & at_corners(~np.pad(self.form, 1))[1:-1, 1:-1, 1:-1]
             known = rim & (length > 0)
             self._normals = np.where(
                 known[..., None], normals / np.maximum(length, 1e-30)[..., None], 0

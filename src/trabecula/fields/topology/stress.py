@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,20 +98,30 @@ def principal_stress(
     part = without_keep_outs(chosen, PartNodes(inside, painted, edges))
     grid = ElementGrid.of(chosen, part, edges=edges, poisson=ratio)
     stiff = np.where(part.inside, np.maximum(values, 1e-3) ** exponent, 0.0)
-    direction = np.zeros((*sides, 3), np.float32)
-    stress = np.zeros(sides, np.float32)
+    return stress_of(grid, grid.loaded(chosen, part), stiff, isotropic(1.0, ratio), edges)
+
+
+def stress_of(
+    grid: ElementGrid,
+    loaded: Sequence[tuple[float, ElementGrid]],
+    stiff: np.ndarray,
+    material: np.ndarray,
+    edges: tuple[float, ...],
+) -> PrincipalStress:
+    """Return the principal stress of elements of given stiffness, over all load cases."""
+    direction = np.zeros((*stiff.shape, 3), np.float32)
+    stress = np.zeros(stiff.shape, np.float32)
     compliance = []
-    material = isotropic(1.0, ratio)
     to_strain = mean_strain(edges)
-    for _, loaded in grid.loaded(chosen, part):
-        start = np.zeros_like(loaded.load)
-        u = solve_displacements(loaded, stiff, start, tolerance=_BALANCE, most=_STEPS)
-        compliance.append(float((stiff * loaded.energy(u)).sum()))
-        for z in range(sides[0]):
-            one, size = _principal(to_strain, material, u[z : z + 2], stiff[z])
+    for _, one in loaded:
+        start = np.zeros_like(grid.load)
+        u = solve_displacements(one, stiff, start, tolerance=_BALANCE, most=_STEPS)
+        compliance.append(float((stiff * one.energy(u)).sum()))
+        for z in range(len(stiff)):
+            ways, size = _principal(to_strain, material, u[z : z + 2], stiff[z])
             larger = np.abs(size) > np.abs(stress[z])
             stress[z] = np.where(larger, size, stress[z])
-            direction[z] = np.where(larger[..., None], one, direction[z])
+            direction[z] = np.where(larger[..., None], ways, direction[z])
     return PrincipalStress(direction, stress, tuple(compliance))
 
 
