@@ -130,7 +130,7 @@ def test_load_cases_act_one_by_one():
 
 
 def test_a_form_takes_few_steps():
-    """Nodes outside of the part are not held on coarser grids: an arch takes 22 steps, 115 if so."""
+    """Nodes outside of the part are not held on coarser grids: else an arch takes 115 steps."""
     z, x = np.ogrid[:24, :48]
     radius = np.hypot(z + 0.5, x - 23.5)
     arch = np.repeat(((radius < 23) & (radius > 15))[:, None], 9, axis=1)
