@@ -61,7 +61,8 @@ def part_stress(
         face; 0 in the void. Its recipe's step holds a `report`: `compliance` of every load case;
         `solid_compliance`, of the form filled with solid; `largest`, and the stress that 99 % of
         the voxels stay below; `weakest`, the places (z, y, x) of the most stressed voxels, ten at
-        most, no two nearer than four; `loose`, the share of the solid that no support holds, left out.
+        most, no two nearer than four; `loose`, the share of the solid that no support holds, which
+        is left out.
 
     Raises
     ------
