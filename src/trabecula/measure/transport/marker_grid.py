@@ -49,8 +49,10 @@ class MarkerGrid:
             slot, most, total = segments.number_faces(active, axis)
             given = (number, slot, axis, pull, most, count)
             found = segments.find_face_segments(*given, 0)[4]
-            *fields, _ = segments.find_face_segments(*given, found)
-            faces.append(FaceSegments(*fields, most, total, most + zeros))
+            table, diagonal, share, place, _ = segments.find_face_segments(*given, found)
+            both, code = np.unique(diagonal + 1j * share, return_inverse=True)
+            kinds = code.astype(np.uint16), both.real.copy(), both.imag.copy()
+            faces.append(FaceSegments(table, *kinds, place, most, total, most + zeros))
             slots.append(slot)
         ends = np.array([face.count for face in faces])
         found = segments.find_cell_segments(number, *slots, count, ends, 0)[2]
@@ -69,9 +71,7 @@ class MarkerGrid:
         *force, outflow = self.parts(out)
         for axis, face in enumerate(self.faces):
             segments.momentum(
-                face.table,
-                face.diagonal,
-                face.share,
+                *face[:4],
                 self.pull,
                 self.area[axis],
                 velocity[axis],
@@ -105,7 +105,8 @@ class _FinestLevel:
         levels = build_levels(graph)
         self.below = levels[1:]
         self.part, self.count = part, levels[0].count
-        self.x = np.zeros(part.length, np.float32)
+        self.x = np.zeros(0, np.float32)
+        """Where the next result goes: of the part's length, zeros between runs."""
         self.coarse = np.zeros(self.count, np.float32)
         self.alone: tuple[GraphLevel, np.ndarray] | None = None
         self.aggregate = np.zeros(0, np.int32)
@@ -132,12 +133,10 @@ class FaceLevel(_FinestLevel):
     """The viscous matrix of one velocity."""
 
     def __init__(self, face: FaceSegments, pull: np.ndarray) -> None:
-        self.matrix = (face.table, face.diagonal, face.share, pull)
+        self.matrix = (*face[:4], pull)
         number, slots = segments.compact_numbers(face.table, face.length)
-        graph = Graph(
-            *segments.face_graph(*self.matrix[:3], face.place, pull, number, face.nodes)
-        )
-        super().__init__(face, graph, slots)
+        fields = segments.face_graph(*face[:4], face.place, pull, number, face.nodes)
+        super().__init__(face, Graph(*fields), slots)
 
     def presmooth(self, right: np.ndarray, x: np.ndarray | None) -> np.ndarray:
         """Return the result of a forward Gauss-Seidel sweep from zero."""
@@ -146,8 +145,8 @@ class FaceLevel(_FinestLevel):
 
     def restrict(self, right: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return the residual of a swept x, summed over aggregates."""
-        table, _, share, pull = self.matrix
-        segments.restrict_faces(table, share, pull, self.aggregate, x, self.coarse)
+        table, code, _, share, pull = self.matrix
+        segments.restrict_faces(table, code, share, pull, self.aggregate, x, self.coarse)
         return self.coarse
 
     def postsmooth(self, right: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -203,7 +202,7 @@ class _RoughSystem(LinearSystem):
 
     def precondition(self, residual: np.ndarray) -> np.ndarray:
         """Return an approximate solution by a cycle of multigrid."""
-        return self.multigrid(residual)
+        return _cycle(self.multigrid, residual, np.zeros_like(residual))
 
     def dot(self, a: np.ndarray, b: np.ndarray) -> float:
         """Return the scalar product."""
@@ -231,12 +230,11 @@ class SimplePreconditioner:
         for axis, face in enumerate(flow.faces):
             level = FaceLevel(face, flow.pull)
             self.velocity.append(_multigrid(level))
-            share = segments.spread(face.table, face.share * flow.volume, face.length)
+            share = segments.spread(face.table, face.share[face.code] * flow.volume, face.length)
 
             def multiply(x: np.ndarray, out: np.ndarray, axis: int = axis) -> None:
                 face = flow.faces[axis]
-                own = (face.table, face.diagonal, face.share, flow.pull)
-                segments.momentum(*own, 0.0, x, nothing, out)
+                segments.momentum(*face[:4], flow.pull, 0.0, x, nothing, out)
 
             mobility = _RoughSystem(multiply, self.velocity[axis]).solve(share.copy())
             np.divide(mobility, share, out=mobility, where=share > 0)
@@ -263,14 +261,14 @@ class SimplePreconditioner:
     def __call__(self, residual: np.ndarray) -> np.ndarray:
         """Return a correction of velocity and pressure."""
         flow = self.flow
-        x = np.empty(flow.length, np.float32)
+        x = np.zeros(flow.length, np.float32)
         *velocity, pressure = flow.parts(x)
         *force, outflow = flow.parts(residual)
         for u, cycle, right in zip(velocity, self.velocity, force, strict=True):
-            u[:] = cycle(np.asarray(right, np.float32))
+            _cycle(cycle, right, u)
         segments.divergence(flow.cells.table, flow.area, *velocity, self.outflow)
         np.subtract(outflow, self.outflow, out=self.outflow, casting="same_kind")
-        pressure[:] = self.pressure(self.outflow)
+        _cycle(self.pressure, self.outflow, pressure)
         self._push(pressure, velocity)
         pressure += self.outflow * np.float32(1.0 / flow.volume)
         return x
@@ -284,3 +282,11 @@ class SimplePreconditioner:
 def _multigrid(level: Any) -> Multigrid[Any]:
     return Multigrid([level, *level.below], k_cycle)
 
+
+def _cycle(multigrid: Multigrid[Any], right: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return x, zeros so far, as the result of a cycle."""
+    finest = multigrid.levels[0]
+    finest.x = x
+    found = multigrid(np.asarray(right, np.float32))
+    finest.x = np.zeros(0, np.float32)
+    return found

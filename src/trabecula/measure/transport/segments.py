@@ -1,5 +1,11 @@
 """The marker-and-cell grid as segments of runs along x, and its kernels.
 
+Pressure in voxels, velocity on the faces between two voxels of the void (Harlow and Welch 1965,
+doi:10.1063/1.1761178). Everything is multiplied by the volume of a control volume, so that the
+viscous matrix is symmetric. Pressure falls along the first axis from 1 on the near end face to 0
+on the far one. A face has the place of the voxel above it. Of the faces of the image only those at
+the ends of the first axis carry an unknown, with half a control volume.
+
 Unknowns are numbered in raster order, pressures and the velocities along every axis for
 themselves. Before the first run and after each is a slot that is always 0, so that the neighbours
 of i along x are i - 1 and i + 1, at the ends of a run as well. A *segment* is a part of a run in
@@ -27,8 +33,9 @@ class FaceSegments(NamedTuple):
     """The faces across one axis that carry a velocity."""
 
     table: np.ndarray  # int32, (S, FACE_COLUMNS)
-    diagonal: np.ndarray  # float64, (S,)
-    share: np.ndarray  # float64, (S,): of a whole control volume
+    code: np.ndarray  # uint16, (S,)
+    diagonal: np.ndarray  # float64, by code: of the viscous matrix
+    share: np.ndarray  # float64, by code: of a whole control volume
     place: np.ndarray  # int16, (S, 3): of the first
     count: int
     """Slots before the zeros."""
@@ -294,7 +301,7 @@ def compact_numbers(table, length):
 
 
 @kernel
-def face_graph(table, diagonal, share, place, pull, number, nodes):
+def face_graph(table, code, diagonal, share, place, pull, number, nodes):
     """Return the viscous matrix of one velocity as the fields of a Graph."""
     start, middle = np.zeros(nodes + 1, np.int64), np.zeros(nodes, np.int64)
     own, where = np.zeros(nodes), np.empty((nodes, 3), np.int16)
@@ -302,10 +309,10 @@ def face_graph(table, diagonal, share, place, pull, number, nodes):
     for fill in range(2):
         used = n = 0
         for s in range(len(table)):
-            weights = (pull[0], pull[1] * share[s], pull[2] * share[s])
+            weights = (pull[0], pull[1] * share[code[s]], pull[2] * share[code[s]])
             for k in range(table[s, 1]):
                 i = table[s, 0] + k
-                own[n] = diagonal[s]
+                own[n] = diagonal[code[s]]
                 where[n, 0], where[n, 1], where[n, 2] = place[s, 0], place[s, 1], place[s, 2] + k
                 for side in range(6):
                     if side == 3:
@@ -370,13 +377,13 @@ def cell_graph(table, place, mobility_z, mobility_y, mobility_x, pull, number, n
 
 
 @kernel
-def momentum(table, diagonal, share, pull, area, velocity, pressure, force):
+def momentum(table, code, diagonal, share, pull, area, velocity, pressure, force):
     """Set the viscous force less the force of the pressure on every face across one axis."""
     kind = force.dtype.type
     wz, push_area = kind(pull[0]), kind(area)
     for s in range(len(table)):
         first, length = table[s, 0], table[s, 1]
-        own, wy, wx = kind(diagonal[s]), kind(pull[1] * share[s]), kind(pull[2] * share[s])
+        own, wy, wx = kind(diagonal[code[s]]), kind(pull[1] * share[code[s]]), kind(pull[2] * share[code[s]])
         i = velocity[first - 1 : first + length + 1]
         a, b = velocity[table[s, 2] :], velocity[table[s, 3] :]
         c, d = velocity[table[s, 4] :], velocity[table[s, 5] :]
@@ -420,13 +427,13 @@ def push(table, area, pressure, mobility, velocity):
 
 
 @kernel
-def sweep_faces_forward(table, diagonal, share, pull, right, x):
+def sweep_faces_forward(table, code, diagonal, share, pull, right, x):
     """Sweep once by Gauss-Seidel from zero: only neighbours before a node have a value yet."""
     wz = np.float32(pull[0])
     for s in range(len(table)):
         first, length = table[s, 0], table[s, 1]
-        inverse = np.float32(1.0 / diagonal[s])
-        wy, wx = np.float32(pull[1] * share[s]), np.float32(pull[2] * share[s]) * inverse
+        inverse = np.float32(1.0 / diagonal[code[s]])
+        wy, wx = np.float32(pull[1] * share[code[s]]), np.float32(pull[2] * share[code[s]]) * inverse
         a, c = x[table[s, 2] :], x[table[s, 4] :]
         r, out = right[first : first + length], x[first : first + length]
         for k in range(length):
@@ -438,13 +445,13 @@ def sweep_faces_forward(table, diagonal, share, pull, right, x):
 
 
 @kernel
-def restrict_faces(table, share, pull, aggregate, x, coarse):
+def restrict_faces(table, code, share, pull, aggregate, x, coarse):
     """Set the residual of a forward sweep, summed over aggregates: the later neighbours'."""
     coarse[:] = 0.0
     wz = np.float32(pull[0])
     for s in range(len(table)):
         first, length = table[s, 0], table[s, 1]
-        wy, wx = np.float32(pull[1] * share[s]), np.float32(pull[2] * share[s])
+        wy, wx = np.float32(pull[1] * share[code[s]]), np.float32(pull[2] * share[code[s]])
         b, d, e = x[table[s, 3] :], x[table[s, 5] :], x[first + 1 :]
         at = aggregate[first : first + length]
         for k in range(length):
@@ -452,13 +459,13 @@ def restrict_faces(table, share, pull, aggregate, x, coarse):
 
 
 @kernel
-def sweep_faces_backward(table, diagonal, share, pull, right, x):
+def sweep_faces_backward(table, code, diagonal, share, pull, right, x):
     """Sweep once by Gauss-Seidel, the last node first."""
     wz = np.float32(pull[0])
     for s in range(len(table) - 1, -1, -1):
         first, length = table[s, 0], table[s, 1]
-        inverse = np.float32(1.0 / diagonal[s])
-        wy, wx = np.float32(pull[1] * share[s]), np.float32(pull[2] * share[s])
+        inverse = np.float32(1.0 / diagonal[code[s]])
+        wy, wx = np.float32(pull[1] * share[code[s]]), np.float32(pull[2] * share[code[s]])
         a, b = x[table[s, 2] :], x[table[s, 3] :]
         c, d = x[table[s, 4] :], x[table[s, 5] :]
         i = x[first - 1 : first + length + 1]
