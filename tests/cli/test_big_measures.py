@@ -32,7 +32,9 @@ def test_a_volume_that_does_not_fit_is_measured_in_slabs(foam):
 
 def test_what_is_left_out_is_named(foam):
     found = json.loads(trabecula("measure", foam, "--json", "--memory", 0.002).out)
-    assert found["thickness"] is None and any("thickness" in note for note in found["notes"])
+    assert found["anisotropy"] is None and any("anisotropy" in note for note in found["notes"])
+    whole = json.loads(trabecula("measure", foam, "--json").out)
+    assert found["thickness"] == pytest.approx(whole["thickness"], rel=1e-6)
 
 
 def test_a_crop_of_what_does_not_fit_is_measured_as_a_whole(foam):

@@ -28,6 +28,13 @@ def volumes(draw, phases=2):
     return np.where(noise < share, draw(st.integers(1, phases - 1)), 0).astype(np.uint8)
 
 
+def smooth_noise(shape, width):
+    noise = np.random.default_rng(5).random(shape)
+    for axis in range(3):
+        noise = sum(np.roll(noise, step, axis) for step in range(width))
+    return noise
+
+
 def in_pieces(volume, tally, depth):
     for slab in volume.slabs(depth):
         tally.add(slab.values.astype(bool))
@@ -120,7 +127,7 @@ def test_only_what_is_asked_for_is_read():
         return values[tuple(slice(*side) for side in box)]
 
     volume = Slabs(values.shape, read, (1.0,) * 3, "voxel", ("void", "solid"))
-    assert describe_slabs(volume, depth=6)["porosity"] == np.mean(values == 0)
+    assert describe_slabs(volume, depth=6, level="quick")["porosity"] == np.mean(values == 0)
     assert [box[0] for box in seen] == [(0, 6), (6, 12), (12, 18), (18, 20)]
     seen.clear()
     assert np.array_equal(volume.centre((4, 4, 8)).values, values[8:12, 2:6])
@@ -137,11 +144,38 @@ def test_what_slabs_cannot_tell_is_left_out_by_name():
     assert all(
         found[name] is None and any(name in note for note in found["notes"])
         for name in names_without_slabs()
+        if name not in ("thickness", "pore_size")
     )
     with pytest.raises(tb.errors.InputError, match="depth"):
         describe_slabs(volume, depth=0)
     with pytest.raises(tb.errors.InputError, match="--box"):
         describe_slabs(volume, level="full")
+
+
+@pytest.mark.parametrize("depth", [2, 7, 40])
+@pytest.mark.parametrize("names", [("void", "solid"), ("void", "solid", "binder"), ("a", "b")])
+def test_diameters_of_slabs_are_those_of_the_whole(depth, names, monkeypatch):
+    monkeypatch.setattr("trabecula.measure.slab_diameters._FIRST", 4)
+    field = smooth_noise((40, 12, 11), 4)
+    labels = np.digitize(field, np.quantile(field, [0.6, 0.85][: len(names) - 1]))
+    image = tb.Image(labels.astype(np.uint8), "labels", spacing=(1.5, 1.0, 2.0), phases=names)
+    whole, slabs = describe(image), describe_slabs(as_slabs(image), depth=depth)
+    pairs = [(whole[name], slabs[name]) for name in ("thickness", "pore_size")]
+    both = whole["phases"], slabs["phases"]
+    pairs += [tuple(found[name].get("thickness") for found in both) for name in names]
+    assert sum(before is not None for before, _ in pairs) >= 2
+    for before, after in pairs:
+        assert after == (None if before is None else pytest.approx(before, rel=1e-6))
+
+
+def test_diameters_need_the_largest_sphere_in_memory():
+    layers = np.zeros((60, 8, 8), np.uint8)
+    layers[np.arange(60) % 30 > 0] = 1
+    image = tb.Image(layers, "labels")
+    few = 32 * 64 * 20  # bytes of 20 planes
+    found = describe_slabs(as_slabs(image), depth=4, r_max=1, memory=few)
+    assert found["thickness"] is None and "thickness" in " ".join(found["notes"])
+    assert describe_slabs(as_slabs(image), depth=4)["thickness"] == describe(image)["thickness"]
 
 
 @pytest.mark.whole

@@ -77,7 +77,7 @@ def test_halving_is_part_of_the_forecast(name, monkeypatch):
     monkeypatch.setattr("trabecula.engine.memory.available_memory", lambda: 8 << 20)
     SOLVERS[name](medium(14))
     with pytest.raises(tb.errors.MemoryBudgetError):
-        SOLVERS[name](medium(24 if name == "diffusivity" else 14), halving=True)
+        SOLVERS[name](medium(14 if name == "stiffness" else 24), halving=True)
 
 
 def test_as_many_solves_at_once_as_fit(monkeypatch):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.engine.lazy_volume import Slabs, depth_within
-from trabecula.engine.memory import Plan
+from trabecula.engine.memory import Plan, as_budget, available_memory
 from trabecula.measure.centre_crop import box_sides
 from trabecula.measure.correlation.pair_geometry import Radial, steps_of
 from trabecula.measure.correlation.window import Window
@@ -28,6 +28,7 @@ from trabecula.measure.effective_properties import PHYSICS, describe_physics, ph
 from trabecula.measure.phases import indicator
 from trabecula.measure.registry import CURVES, DESCRIPTORS, LEVELS, select
 from trabecula.measure.runs import RUN_BYTES
+from trabecula.measure.slab_diameters import mean_diameter_of_slabs
 from trabecula.measure.streaming import ComponentSizes, SolidNumbers
 from trabecula.measure.streaming.numbers import CurveTally, PhaseTallies
 from trabecula.measure.streaming.pairs import pairs_bytes
@@ -72,10 +73,11 @@ def describe_slabs(
     -------
     descriptors : dict
         The keys of `describe`, with its values; the radial curve of large volumes within the
-        rounding errors of float32 (1e-7 of the pairs). `None` for `pore_size`, `thickness`,
-        `morphometry`, `anisotropy` and `two_point_cluster`, which need the whole volume, and with
-        three phases or more for `triples` and the `cross_correlation` of pairs: `notes` names what
-        was left out.
+        rounding errors of float32 (1e-7 of the pairs). `None` for `morphometry`, `anisotropy` and
+        `two_point_cluster`, which need the whole volume, with three phases or more for `triples`
+        and the `cross_correlation` of pairs, and for `pore_size` or `thickness` where slabs with
+        the largest sphere's planes on either side, twice, do not fit into memory: `notes` names
+        what was left out.
 
     Raises
     ------
@@ -93,6 +95,7 @@ def describe_slabs(
         )
     reach = int(as_number(r_max, name="r_max", low=1, high=2**62, whole=True))
     reach = max(1, min(reach, min(volume.shape) // 2))
+    most = volume.shape[0] if depth is None else depth
     if depth is None:
         depth = fitting_depth(volume, r_max=reach, memory=memory, phases=True)
     depth = int(as_number(depth, name="depth", low=1, high=2**62, whole=True))
@@ -102,12 +105,15 @@ def describe_slabs(
         )
     else:
         found = _count_phases(volume, r_max=reach, depth=depth)
+    if DESCRIPTORS["thickness"].is_measured(level):
+        _add_diameters(found, volume, most, memory)
     known = derive_phase_figures(volume.phases, found)
     each = {name: known.get(name, {}) | found["phases"].get(name, {}) for name in volume.phases}
     found["phases"] = drop_redundant(each, redundant_beside_solid(volume.phases))
     if level == "full" and "void" in volume.phases:
         found |= describe_physics(volume.centre(box_sides(box, volume.shape)), halving=True)
-    notes = [*void_notes(volume.phases), *_notes(level, volume.phases), *physics_notes(found)]
+    left = _notes(level, volume.phases, found)
+    notes = [*void_notes(volume.phases), *left, *physics_notes(found)]
     return found | {"level": level, "notes": notes}
 
 
@@ -201,8 +207,29 @@ def _radial(volume: Slabs, r_max: int) -> Radial:
     return Radial(Window(volume.shape, (False,) * 3), r_max, steps_of(volume.spacing))
 
 
-def _notes(level: str, phases: Sequence[str]) -> list[str]:
-    missing = [name for name in names_without_slabs() if DESCRIPTORS[name].is_measured(level)]
+def _add_diameters(
+    found: dict[str, Any], volume: Slabs, depth: int, memory: int | None
+) -> None:
+    """Add the mean diameters of solid, void and every further phase, as far as memory allows."""
+    budget = available_memory() if memory is None else as_budget(memory)
+
+    def mean(phase: str | None, default: str) -> float | None:
+        return mean_diameter_of_slabs(
+            volume, phase=phase, default=default, depth=depth, memory=budget
+        )
+
+    if "void" in volume.phases and 0 < found["porosity"] < 1:
+        found["thickness"], found["pore_size"] = mean(None, "solid"), mean(None, "void")
+    for name, figures in found["phases"].items():
+        figures["thickness"] = found["pore_size"] if name == "void" else mean(name, "solid")
+
+
+def _notes(level: str, phases: Sequence[str], found: Mapping[str, Any]) -> list[str]:
+    missing = [
+        name
+        for name in names_without_slabs()
+        if DESCRIPTORS[name].is_measured(level) and found.get(name) is None
+    ]
     missing += PHASES_LEFT_OUT if len(phases) > 2 else ()
     if not missing:
         return []

@@ -364,12 +364,12 @@ def _quarters(part: np.ndarray, axis: int, label: int | None) -> np.ndarray:
     """
     lines = np.moveaxis(part, axis, 0)
     if lines.ndim == 2:
-        parts = np.array_split(lines, 4, axis=1)
+        parts = _split(lines, 4, axis=1)
     else:
         parts = [
             quarter
-            for half in np.array_split(lines, 2, axis=1)
-            for quarter in np.array_split(half, 2, axis=2)
+            for half in _split(lines, 2, axis=1)
+            for quarter in _split(half, 2, axis=2)
         ]
     others = tuple(range(1, lines.ndim))
     if label is None:
@@ -378,6 +378,13 @@ def _quarters(part: np.ndarray, axis: int, label: int | None) -> np.ndarray:
         [np.count_nonzero(quarter == label, axis=others) / quarter[0].size for quarter in parts],
         axis=1,
     )
+
+
+def _split(lines: np.ndarray, count: int, axis: int) -> list[np.ndarray]:
+    """Split into parts along an axis; a side too short for that stands for those it has not."""
+    return [
+        part if part.shape[axis] else lines for part in np.array_split(lines, count, axis=axis)
+    ]
 
 
 def _round_axis(values: np.ndarray, box: list[tuple[int, int]]) -> int | None:

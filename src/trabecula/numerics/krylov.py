@@ -191,10 +191,7 @@ def conjugate_residuals(
             return step, True
         direction = precondition(source)
         image = matrix(direction)
-        for before, its_image, size in stored:
-            overlap = dot(image, its_image) / size
-            add_to(direction, -overlap, before)
-            add_to(image, -overlap, its_image)
+        _orthogonalise(direction, image, stored)
         size = dot(image, image)
         if not size > 0.0:
             return step, False
@@ -211,3 +208,17 @@ def conjugate_residuals(
             stored.popleft()
         left = dot(residual, residual)
     return most, accept(x, residual)
+
+
+def _orthogonalise(
+    direction: np.ndarray,
+    image: np.ndarray,
+    stored: deque[tuple[np.ndarray, np.ndarray, float]],
+) -> None:
+    """Make an image orthogonal to those that are stored; no name here outlives the call, so that a
+    pair that is dropped later is freed at once.
+    """
+    for before, its_image, size in stored:
+        overlap = dot(image, its_image) / size
+        add_to(direction, -overlap, before)
+        add_to(image, -overlap, its_image)

@@ -18,8 +18,7 @@ With it some 12 to 20 steps do, whatever the size of the image and the width of 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -27,29 +26,18 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image
 from trabecula.measure.phases import as_inside, indicator
-from trabecula.measure.transport.aggregation import AggregationMultigrid
-from trabecula.measure.transport.graph import Graph, solve_graph
-from trabecula.measure.transport.kernels import (
-    assemble_pressure,
-    assemble_viscous,
-    divergence,
-    enumerate_faces,
-    enumerate_voxels,
-    link,
-    momentum,
-    push,
-    section_flows,
-)
+from trabecula.measure.transport.marker_grid import MarkerGrid, SimplePreconditioner
 from trabecula.measure.transport.result import Effective, imbalance, not_percolating
 from trabecula.measure.transport.section import Solver, as_tolerance, effective, percolating_voxels
-from trabecula.numerics.krylov import Iterate, conjugate_residuals
+from trabecula.numerics.krylov import conjugate_residuals
 from trabecula.numerics.vectors import dot
 
 _MOST_STEPS = 300
-_ROUGH = 0.03  # residual at which mobility and first pressure are good enough
+_SINGLE = 3e-5  # tolerance from which on solution and residual are kept in float32
 
-FLOW_BYTES = 880
-"""Memory per voxel that carries flow, at the peak: resident memory, from 40 and 64 voxels an edge.
+FLOW_BYTES = 360
+"""Memory per voxel that carries flow, at the peak: resident memory, from 40 and 64 voxels an edge
+of noise. Of scans 220 to 270: the longer the runs along x, the less.
 """
 
 
@@ -144,88 +132,6 @@ def _permeability(inside: np.ndarray, edges: np.ndarray, *, tolerance: float) ->
     return Effective(value, converged, imbalance(flow), steps, fraction)
 
 
-@dataclass(frozen=True, eq=False)
-class MarkerGrid:
-    """Unknowns and links of a marker-and-cell grid, as `kernels` describes them."""
-
-    faces: np.ndarray  # int32, (3, Z + 1, Y, X)
-    bounds: np.ndarray  # int64, (4,)
-    faces_of: np.ndarray  # int32, (N, 6)
-    cells_of: np.ndarray  # int32, (M, 2)
-    area: np.ndarray  # float64, (3,)
-    volume: float
-    viscous: Graph
-    place: np.ndarray  # int16, (N, 3), of the voxels
-
-    @classmethod
-    def of(cls, active: np.ndarray, edges: np.ndarray) -> MarkerGrid:
-        """Build the grid of the active voxels."""
-        number, cells = enumerate_voxels(active)
-        faces, bounds = enumerate_faces(number)
-        count = int(bounds[3])
-        faces_of, cells_of = link(number, faces, cells, count)
-        volume = float(np.prod(edges))
-        viscous = Graph(*assemble_viscous(number, faces, count, volume / edges**2))
-        place = np.argwhere(active).astype(np.int16)
-        return cls(faces, bounds, faces_of, cells_of, volume / edges, volume, viscous, place)
-
-    def apply(self, x: np.ndarray) -> np.ndarray:
-        """Return the whole matrix times (velocity, pressure)."""
-        u, p = np.split(x, [len(self.cells_of)])
-        force = momentum(*self.viscous.rows, self.cells_of, self.bounds, self.area, u, p)
-        return np.concatenate([force, divergence(self.faces_of, self.area, u)])
-
-    def driving_force(self) -> np.ndarray:
-        """Return the force of a pressure of 1 on the near end face."""
-        return np.where(self.cells_of[:, 0] < 0, self.area[0], 0.0)
-
-
-class SimplePreconditioner:
-    """A step of SIMPLE; calling it maps a residual to a correction."""
-
-    def __init__(self, flow: MarkerGrid) -> None:
-        self.flow = flow
-        self.velocity = AggregationMultigrid(flow.viscous)
-        ends = (flow.cells_of < 0).any(axis=1)
-        share = np.where(ends, 0.5 * flow.volume, flow.volume)
-        self.mobility = _solve_roughly(flow.viscous, share, self.velocity) / share
-        links = assemble_pressure(
-            flow.faces_of, flow.cells_of, self.mobility, flow.area, flow.place
-        )
-        self.pressure_graph = Graph(*links)
-        self.pressure = AggregationMultigrid(self.pressure_graph)
-
-    def start(self, force: np.ndarray) -> np.ndarray:
-        """Return velocity and pressure of Darcy's law."""
-        flow = self.flow
-        u = self.mobility * force
-        right = -divergence(flow.faces_of, flow.area, u)
-        p = _solve_roughly(self.pressure_graph, right, self.pressure)
-        push(flow.cells_of, flow.bounds, flow.area, p, self.mobility, u)
-        return np.concatenate([u, p])
-
-    def __call__(self, residual: np.ndarray) -> np.ndarray:
-        """Return a correction of velocity and pressure."""
-        flow = self.flow
-        force, outflow = np.split(residual, [len(flow.cells_of)])
-        u = self.velocity(force)
-        rest = outflow - divergence(flow.faces_of, flow.area, u)
-        p = self.pressure(rest)
-        push(flow.cells_of, flow.bounds, flow.area, p, self.mobility, u)
-        return np.concatenate([u, p + rest / flow.volume])
-
-
-def _solve_roughly(
-    graph: Graph, right: np.ndarray, precondition: Callable[[np.ndarray], np.ndarray]
-) -> np.ndarray:
-    limit = _ROUGH**2 * dot(right, right)
-
-    def accept(at: Iterate) -> bool:
-        return bool(dot(at.residual, at.residual) <= limit)
-
-    return solve_graph(graph, right, precondition, accept=accept, most=20)[0].x
-
-
 def _section_flows(
     active: np.ndarray, edges: np.ndarray, *, tolerance: float
 ) -> tuple[np.ndarray, int, bool]:
@@ -233,26 +139,35 @@ def _section_flows(
     return also the steps, and whether they converged.
     """
     flow = MarkerGrid.of(active, edges)
-    count = len(flow.cells_of)
-    force = flow.driving_force()
     precondition = SimplePreconditioner(flow)
-    x = precondition.start(force)
-    residual = -flow.apply(x)
-    residual[:count] += force
+    kind = np.float32 if tolerance >= _SINGLE else np.float64
+    x, residual = precondition.start(kind), np.empty(flow.length, kind)
+    force = flow.driving_force()
     limit = tolerance**2 * dot(force, force)
+    velocities = slice(0, flow.bounds[3])
 
-    def flows(x: np.ndarray) -> np.ndarray:
-        return section_flows(flow.faces, x[:count]) * flow.area[0]
+    def renew() -> None:
+        """Set the residual by its definition: that of the steps has drifted off by round-off."""
+        flow.apply(x, residual)
+        np.negative(residual, out=residual)
+        residual[: len(force)] += force
+
+    def is_small() -> bool:
+        return bool(dot(residual[velocities], residual[velocities]) <= limit)
 
     def accept(x: np.ndarray, residual: np.ndarray) -> bool:
-        if dot(residual[:count], residual[:count]) > limit:
+        if not is_small():
             return False
-        through = flows(x)
+        renew()
+        if not is_small():
+            return False
+        through = flow.section_flows(x)
         # x . residual is the power put in less the power dissipated.
         power = abs(dot(x, residual))
         return imbalance(through) <= tolerance and power <= tolerance * abs(float(through.mean()))
 
+    renew()
     steps, converged = conjugate_residuals(
-        flow.apply, residual, x, precondition, accept=accept, most=_MOST_STEPS
+        flow.multiply, residual, x, precondition, accept=accept, most=_MOST_STEPS, keep=1
     )
-    return flows(x), steps, converged
+    return flow.section_flows(x), steps, converged

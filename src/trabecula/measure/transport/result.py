@@ -43,6 +43,13 @@ class Effective:
 
     __repr__ = brief
 
+    @property
+    def extrapolated(self) -> float | None:
+        """Return the value for ever smaller voxels of the same stairs, value * (1 + 4 / 3 halving):
+        Richardson's, for an error that falls with the square of the edge. None without `halving`.
+        """
+        return None if self.halving is None else self.value * (1.0 + 4.0 / 3.0 * self.halving)
+
 
 def not_percolating(fraction: float) -> Effective:
     """Return the result of a phase that does not percolate."""
