@@ -42,6 +42,7 @@ import novelty_blind
 import papers
 import printing
 import scan
+import stills
 import texture
 import texture_figures
 import texture_speed
@@ -135,6 +136,7 @@ CASES: dict[str, Callable[[], None]] = {
     "papers": papers.papers,
     "view_still": view.view_still,
     "view_page": view.view_page,
+    "stills": stills.stills,
     "surfaces": printing.surfaces,
     "layers": printing.layers,
     "intervals": intervals.intervals,

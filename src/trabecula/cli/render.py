@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--look",
         default="bone",
-        help="bone, foam, bread, sponge, stone, cheese, copper, ceramic, rock, glass, wax, clay, or "
+        help="bone, foam, bread, sponge, stone, cheese, copper, ceramic, rock, glass, wax, clay or "
         "a .toml file with parameters of your own",
     )
     parser.add_argument(
@@ -85,9 +85,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_traced(parser: argparse.ArgumentParser) -> None:
     for name, default, what in (
-        ("samples", None, "paths a pixel (default: 8 of draft, 24 of fine)"),
+        ("samples", None, "paths a pixel (default: 4 of draft, 16 of fine)"),
         ("lens", "22", "angle of view, degrees (default 22; 0: parallel rays)"),
-        ("aperture", "0", "diameter of the lens, a share of the longest edge (default 0: all sharp)"),
+        (
+            "aperture",
+            "0",
+            "diameter of the lens, of the longest edge",
+        ),
         ("focus", "0.3", "what is sharp, 0 (the nearest) .. 1 (default 0.3)"),
         ("exposure", "0", "stops: each doubles the light (default 0)"),
     ):

@@ -278,8 +278,9 @@ class Scene:
     def camera(self, angles: tuple[float, float], pixel: float | None = None) -> Camera:
         """Return a camera that sees the whole box, or its middle with pixels of that edge."""
         extent, foot = self.edges * self.image.shape[::-1], bar_height(_letters(self.size[1]))
-        given = {"margin": self.margin, "foot": foot, "up": self.up}
-        return place_camera(angles, extent, self.size, pixel=pixel, **given)
+        return place_camera(
+            angles, extent, self.size, margin=self.margin, foot=foot, pixel=pixel, up=self.up
+        )
 
     def picture(
         self, angles: tuple[float, float], pixel: float | None = None
@@ -355,16 +356,15 @@ def prepare_subject(
     opened = make_cut(words, drawable.shape[::-1], edges, viewer, up)
     if limits is not None and field is None:
         raise InputError("limits are of a field: give the field as well, or leave them out")
-    given: tuple = (opened, (width, height), angles, up)
+    colours = None
     if colour:
-        return Subject(drawable, form_of(image, form), [1], *given)
-    drawn = visible_phases(drawable, phase)
-    if field is None:
-        return Subject(drawable, drawable.values, drawn, *given)
-    colours = colour_by(drawable, drawn, field, limits)
-    return Subject(
-        drawable, colours.labels, list(range(1, len(colours.colours))), *given, colours
-    )
+        labels, drawn = form_of(image, form), [1]
+    else:
+        labels, drawn = drawable.values, visible_phases(drawable, phase)
+    if field is not None:
+        colours = colour_by(drawable, drawn, field, limits)
+        labels, drawn = colours.labels, list(range(1, len(colours.colours)))
+    return Subject(drawable, labels, drawn, opened, (width, height), angles, up, colours)
 
 
 def prepare_scene(
@@ -450,8 +450,9 @@ def draw_field_legend(values: np.ndarray, colours: FieldColours) -> np.ndarray:
     margin = max(8, min(width, height) // 24)
     corner = values[-margin:, -margin:].reshape(-1, 3).mean(axis=0).astype(int).tolist()
     canvas = ImageDraw.Draw(picture)
-    given = {"ink": ink_on((corner[0], corner[1], corner[2])), "size": _letters(height)}
-    draw_legend(canvas, width - margin, height - margin, colours, **given)
+    ink = ink_on((corner[0], corner[1], corner[2]))
+    at = (width - margin, height - margin)
+    draw_legend(canvas, *at, colours, ink=ink, size=_letters(height))
     return np.asarray(picture)
 
 

@@ -36,7 +36,6 @@ from trabecula.view.scene import Subject, draw_field_legend, prepare_scene, prep
 from trabecula.view.trace.material import TRACED, TracedLook, find_traced, plain_look, read_look
 from trabecula.view.trace.photograph import SAMPLES, Exposure, forecast_traced, take
 
-
 QUALITIES = ("quick", *SAMPLES)
 
 
@@ -100,7 +99,7 @@ def render(
     quality : {"quick", "draft", "fine"}
         "quick": a ray marcher, parallel rays, a scale bar. Else a path tracer: a smooth surface,
         framed on the material, in perspective, on a ground, without a bar (a perspective has no
-        one scale); "draft" takes 8 paths a pixel, "fine" 24.
+        one scale); "draft" takes 4 paths a pixel, "fine" 16.
     samples : int, optional
         Paths a pixel instead, 2..65536. This and what follows is of traced stills alone.
     lens : float
@@ -118,7 +117,9 @@ def render(
     -------
     Image
         Colour, (height, width); its spacing is the edge of a pixel in the image's unit (of a traced
-        still, in the plane through the middle of what is seen).
+        still, in the plane through the middle of what is seen). The recipe of a traced still holds
+        its noise: the standard deviation of a channel (0..255), by the difference of its two
+        halves.
 
     Raises
     ------
@@ -139,7 +140,7 @@ def render(
     else:
         drawn = prepare_subject(*given)
         angles, subject, colours = drawn.angles, drawn.image, drawn.colours
-        values, pixel = _traced(drawn, find_traced(chosen), taken)
+        values, pixel, noise = _traced(drawn, find_traced(chosen), taken)
     made: dict[str, Any] = {
         "look": chosen,
         "size": list(size),
@@ -154,7 +155,7 @@ def render(
     if up != "z":
         made |= {"up": up}
     if taken is not None:
-        made |= {"quality": quality, "taken": asdict(taken)}
+        made |= {"quality": quality, "taken": asdict(taken), "noise": noise}
     recipe = subject.recipe.then(
         "render", values, cut=cut if isinstance(cut, str) else list(cut), **made
     )
@@ -194,7 +195,7 @@ def _exposure(
         return None
     count = SAMPLES[quality] if samples is None else samples
     return Exposure(
-        samples=as_number(count, name="samples", low=2, high=65536, whole=True),
+        samples=int(as_number(count, name="samples", low=2, high=65536, whole=True)),
         lens=as_number(lens, name="lens", low=0, high=120),
         aperture=as_number(aperture, name="aperture", low=0, high=1),
         focus=as_number(focus, name="focus", low=0, high=1),
@@ -203,8 +204,8 @@ def _exposure(
     )
 
 
-def _traced(it: Subject, look: TracedLook, taken: Exposure) -> tuple[np.ndarray, float]:
-    """Trace a still; the picture, and the edge of a pixel."""
+def _traced(it: Subject, look: TracedLook, taken: Exposure) -> tuple[np.ndarray, float, float]:
+    """Trace a still; the picture, the edge of a pixel, and the noise (0..255)."""
     colour = it.image.kind == "colour"
     check_budget(
         forecast_traced(it.image.shape, it.size, colour=colour),
@@ -219,7 +220,7 @@ def _traced(it: Subject, look: TracedLook, taken: Exposure) -> tuple[np.ndarray,
     values = to_srgb(shot.light)
     if it.colours is not None:
         values = draw_field_legend(values, it.colours)
-    return values, shot.framing.pixel * min(it.image.spacing)
+    return values, shot.framing.pixel * min(it.image.spacing), round(shot.noise, 2)
 
 
 def turntable(

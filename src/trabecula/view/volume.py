@@ -58,7 +58,7 @@ def prepare_volume(labels: np.ndarray, drawn: Sequence[int]) -> Volume:
     levels = _levels(field)
     return Volume(
         field=field,
-        labels=spread_labels(labels, table),
+        labels=_spread(labels, table),
         occupied=_find_surface_blocks(field),
         pyramid=np.concatenate([level.ravel() for level in levels]),
         offsets=np.cumsum([0, *(level.size for level in levels[:-1])]),
@@ -75,7 +75,7 @@ def _blur(values: np.ndarray) -> np.ndarray:
     return values
 
 
-def spread_labels(labels: np.ndarray, table: np.ndarray) -> np.ndarray:
+def _spread(labels: np.ndarray, table: np.ndarray) -> np.ndarray:
     """Return labels where hidden voxels beside drawn ones take theirs: smoothing may move a surface
     by half a voxel.
     """

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from trabecula.engine.compile import kernel
@@ -40,9 +42,7 @@ def _curve(x: np.ndarray) -> np.ndarray:
     return x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14)
 
 
-def average_noise(
-    halves: np.ndarray, features: np.ndarray, *, strength: float = 1.0
-) -> np.ndarray:
+def average_noise(halves: np.ndarray, features: np.ndarray, *, strength: float = 1.0) -> np.ndarray:
     """Return (2, H, W, 3): both halves of the samples, filtered.
 
     Parameters
@@ -65,13 +65,9 @@ def average_noise(
     spread = _box(((halves[0] - halves[1]) ** 2).mean(axis=-1) / 2, 2)
     for half in range(2):
         guide = np.ascontiguousarray(halves[1 - half])
-        source, target = np.ascontiguousarray(halves[half]), out[half]
-        for_slabs(
-            lambda a, b, g=guide, s=source, t=target: _filter(
-                s, g, spread, features, strength, a, b, t
-            ),
-            len(target),
-        )
+        source = np.ascontiguousarray(halves[half])
+        given = (source, guide, spread, features, strength, out[half])
+        for_slabs(partial(_filter, *given), len(source))
     return out
 
 
@@ -87,7 +83,7 @@ def _box(values: np.ndarray, reach: int) -> np.ndarray:
 
 
 @kernel
-def _filter(source, guide, spread, features, strength, first, last, out):
+def _filter(source, guide, spread, features, strength, out, first, last):
     """Average the rows first..last of `source` by the likeness of `guide` and `features`."""
     height, width = guide.shape[0], guide.shape[1]
     for row in range(first, last):

@@ -13,6 +13,7 @@ from trabecula.view.trace.space import BLOCK
 MARGIN = 0.09
 """Share of the picture left free on every side."""
 
+
 @dataclass(frozen=True, eq=False)
 class Framing:
     """Where the camera stands.
@@ -125,6 +126,4 @@ def frame_camera(
     given[5] = -viewer
     heights = points @ upwards
     ground = float(heights.min()) - pad
-    return Framing(
-        given, right, above, viewer, upwards, ground, middle, extent, step * distance
-    )
+    return Framing(given, right, above, viewer, upwards, ground, middle, extent, step * distance)

@@ -22,6 +22,7 @@ from trabecula.view.trace import texture
 
 Colour = tuple[float, float, float]
 
+
 def _as_colour(value: Any, name: str) -> Colour:
     try:
         red, green, blue = (float(each) for each in value)
@@ -212,19 +213,19 @@ class TracedLook:
 
 
 _CRUST = (
-    (0.0, (112, 60, 22)),
-    (0.006, (158, 92, 38)),
-    (0.014, (206, 148, 78)),
+    (0.0, (128, 66, 24)),
+    (0.006, (172, 100, 42)),
+    (0.013, (208, 150, 82)),
 )
 
 TRACED: dict[str, TracedLook] = {
     "bread": TracedLook(
         materials=(
             PhaseMaterial(
-                albedo=(242, 222, 182), roughness=0.85, specular=0.25, scattering_depth=0.005,
-                grain=0.35, grain_size=0.16, grain_albedo=(232, 202, 150),
+                albedo=(232, 205, 156), roughness=0.9, specular=0.2, scattering_depth=0.0025,
+                grain=0.4, grain_size=0.16, grain_albedo=(222, 188, 132),
                 bump=0.35, bump_size=0.006,
-                rim=_CRUST, rim_end=0.028, rim_unevenness=0.75, rim_patch=0.11,
+                rim=_CRUST, rim_end=0.026, rim_unevenness=0.75, rim_patch=0.11,
                 rim_roughness=0.5, flour=0.0,
             ),
         ),
@@ -233,8 +234,8 @@ TRACED: dict[str, TracedLook] = {
     "sponge": TracedLook(
         materials=(
             PhaseMaterial(
-                albedo=(246, 206, 74), roughness=0.9, specular=0.15, scattering_depth=0.006,
-                grain=0.3, grain_size=0.2, grain_albedo=(238, 182, 48), bump=0.25, bump_size=0.005,
+                albedo=(240, 192, 58), roughness=0.9, specular=0.12, scattering_depth=0.0024,
+                grain=0.3, grain_size=0.2, grain_albedo=(230, 168, 40), bump=0.25, bump_size=0.005,
             ),
         ),
         background=(222, 228, 230),
@@ -352,7 +353,7 @@ def find_traced(look: str | PathLike[str] | Mapping[str, Any]) -> TracedLook:
     ----------
     look : str, path or mapping
         A name; or a .toml file, or its content, with `base` (a name), `light`, `background`, the
-        parameters of the first `PhaseMaterial`, and tables `void`, `second`, `third` of further ones.
+        parameters of the first `PhaseMaterial`, and tables `void`, `second`, `third` of others.
 
     Raises
     ------
@@ -408,9 +409,7 @@ def _plain(number: int) -> PhaseMaterial:
     return PhaseMaterial(albedo=_FURTHER[(number - 1) % len(_FURTHER)])
 
 
-def material_rows(
-    look: TracedLook, phases: tuple[str, ...], length: float
-) -> np.ndarray:
+def material_rows(look: TracedLook, phases: tuple[str, ...], length: float) -> np.ndarray:
     """Return (N, WIDTH), a row a phase: materials in the order of the phases that are not void."""
     rows, number = [], 0
     for phase in phases:

@@ -10,6 +10,7 @@ those of more than LONGEST turns, or WALK scatterings, are cut.
 from __future__ import annotations
 
 import math
+
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
@@ -109,7 +110,7 @@ def label_at(labels, form, drawn, x, y, z):
     if labels.size == 1:
         return np.int64(labels[0, 0, 0])
     u, v, w = x * form[0], y * form[1], z * form[2]
-    i, j, k = int(math.floor(u)), int(math.floor(v)), int(math.floor(w))
+    i, j, k = math.floor(u), math.floor(v), math.floor(w)
     fu, fv, fw = u - i, v - j, w - k
     found = np.zeros(27, np.int64)
     weights = np.zeros(27)
@@ -183,10 +184,30 @@ def _material(space, rows, drawn, linear, point, normal, cut, light, turn, surfa
     if space.colours.shape[0] > 0:
         _colour_at(space.colours, space.field, space.form, linear, x, y, z, surface)
         red, green, blue = surface[0], surface[1], surface[2]
-        shade(space.rim, space.coarse, row, point[0], point[1], point[2], -1.0 if cut else lift, fine, surface)
+        shade(
+            space.rim,
+            space.coarse,
+            row,
+            point[0],
+            point[1],
+            point[2],
+            -1.0 if cut else lift,
+            fine,
+            surface,
+        )
         surface[0], surface[1], surface[2] = red, green, blue
     else:
-        shade(space.rim, space.coarse, row, point[0], point[1], point[2], -1.0 if cut else lift, fine, surface)
+        shade(
+            space.rim,
+            space.coarse,
+            row,
+            point[0],
+            point[1],
+            point[2],
+            -1.0 if cut else lift,
+            fine,
+            surface,
+        )
     if turn == 0:
         tilt(row, point[0], point[1], point[2], normal)
 
@@ -404,7 +425,9 @@ def _path(space, rows, drawn, linear, light, origin, direction, number, seed, st
                         if chance > 0:
                             share = value * fresnel(plain + metal * surface[c], between)
                         if not walks:
-                            kept = fresnel(plain + metal * surface[c], facing) if chance > 0 else 0.0
+                            kept = (
+                                fresnel(plain + metal * surface[c], facing) if chance > 0 else 0.0
+                            )
                             share += (1 - kept) * (1 - metal) * surface[c] / math.pi
                         radiance[c] += through[c] * min(light[BEAM, c] * share * weight, brightest)
                 u, v = pair(seed, number, 4 + 3 * turn) if turn < 3 else (draw(state), draw(state))
@@ -422,14 +445,20 @@ def _path(space, rows, drawn, linear, light, origin, direction, number, seed, st
                     if not _walk(field, form, point, normal, to, surface, through, state):
                         return
                     step_out(field, form, point, normal, OFF)
-                    _add_lamp(field, skip, form, light, lamp, point, normal, through, radiance, u, v, to)
+                    _add_lamp(
+                        field, skip, form, light, lamp, point, normal, through, radiance, u, v, to
+                    )
                     x, y, z = by_cosine(normal, draw(state), draw(state))
                     density = -1.0
                 else:
                     if lot < chance:
                         hx, hy, hz = draw_facet(normal, out, alpha, u, v)
                         between = 2 * (hx * out[0] + hy * out[1] + hz * out[2])
-                        x, y, z = between * hx - out[0], between * hy - out[1], between * hz - out[2]
+                        x, y, z = (
+                            between * hx - out[0],
+                            between * hy - out[1],
+                            between * hz - out[2],
+                        )
                     else:
                         x, y, z = by_cosine(normal, u, v)
                     to[0], to[1], to[2] = x, y, z
@@ -447,7 +476,9 @@ def _path(space, rows, drawn, linear, light, origin, direction, number, seed, st
                         if chance > 0:
                             share = value * fresnel(plain + metal * surface[c], between)
                         if not walks:
-                            kept = fresnel(plain + metal * surface[c], facing) if chance > 0 else 0.0
+                            kept = (
+                                fresnel(plain + metal * surface[c], facing) if chance > 0 else 0.0
+                            )
                             share += (1 - kept) * (1 - metal) * surface[c] / math.pi
                         through[c] *= share * cosine / density
         for axis in range(3):
@@ -463,9 +494,7 @@ def _path(space, rows, drawn, linear, light, origin, direction, number, seed, st
 
 
 @kernel
-def trace(
-    space, rows, drawn, linear, light, lens, key, start, stop, top, bottom, film, features
-):
+def trace(space, rows, drawn, linear, light, lens, key, start, stop, film, features, top, bottom):
     """Add the samples `start`..`stop` of the rows `top`..`bottom` to a film.
 
     Parameters
@@ -477,11 +506,12 @@ def trace(
         1 for labels that are material.
     linear : (256,) float64
         sRGB to linear light.
-    light : Light
+    light : (11, 4) float64
+        See LAMP and the other rows.
     lens : (6, 3) float64
         Eye; steps to the next pixel and the next row, at unit distance along the axis; middle of
-        the upper left pixel, likewise; then (radius of the lens, distance in focus, 1 where rays are
-        parallel); the axis.
+        the upper left pixel, likewise; then (radius of the lens, distance in focus, 1 where rays
+        are parallel); the axis.
     key : uint64
     film : (2, H, W, 3) float64
         Sums of the even samples and of the odd ones.

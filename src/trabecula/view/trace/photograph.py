@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import prod
 
 import numpy as np
@@ -27,12 +28,11 @@ from trabecula.view.trace.material import (
     material_rows,
 )
 from trabecula.view.trace.paths import trace
-from trabecula.view.trace.rim import SIDE, rim_depths
+from trabecula.view.trace.rim import coarse_factor, rim_depths
 from trabecula.view.trace.space import BLOCK, Space, find_blocks, pack_form, spread_blocks
 from trabecula.view.trace.surface import smooth_surface
-from trabecula.view.volume import spread_labels
 
-SAMPLES = {"draft": 8, "fine": 24}
+SAMPLES = {"draft": 4, "fine": 16}
 """Paths a pixel."""
 
 PASS = 4
@@ -87,14 +87,15 @@ class Shot:
 
 
 def forecast_traced(shape: Sequence[int], size: tuple[int, int], *, colour: bool = False) -> Plan:
-    """Forecast the memory of a traced still beside the image: field, labels, blocks, rim, film."""
+    """Forecast the memory of a traced still beside the image: field, form, blocks, rim, film."""
     voxels, pixels = prod(shape), prod(size)
-    factor = max(1, math.ceil(max(shape) / SIDE))
-    coarse = prod(-(-side // factor) for side in shape)
+    factor = coarse_factor(shape)
+    more = math.ceil(CLOSING * max(shape) / factor) + 2
+    coarse = prod(-(-side // factor) + 2 * more for side in shape)
     return Plan(
         {
             "field": 2 * voxels,
-            "labels": 0 if colour else voxels,
+            "form": voxels if colour else 0,
             "blocks": prod(-(-side // BLOCK) for side in shape),
             "rim": 14 * coarse,
             "film": (6 * 8 + 8 * 4 + 2 * 6 * 8) * pixels,
@@ -126,12 +127,11 @@ def prepare_space(
     box = cut.box * stretch
     if not (box[3] > box[2]).all():
         box[2:] = -1e9
-    spread = spread_labels(labels, 255 * table) if colours is None else labels[:1, :1, :1]
-    if colours is not None:
-        spread = np.full((1, 1, 1), drawn[0], np.uint8)
+    if len(drawn) == 1:  # one material: no label is looked up
+        labels = np.full((1, 1, 1), drawn[0], np.uint8)
     return Space(
         field=field,
-        labels=spread,
+        labels=labels,
         colours=np.zeros((0, 1, 1, 3), np.uint8) if colours is None else colours,
         skip=skip,
         form=pack_form(stretch, box, cut.plane),
@@ -246,10 +246,8 @@ def expose(
     passes = range(0, samples, PASS)
     for start in track(passes, "tracing", total=len(passes)):
         stop = min(start + PASS, samples)
-        given = (space, rows, table, linear, light, lens, word, start, stop)
-        for_slabs(
-            lambda top, bottom, given=given: trace(*given, top, bottom, film, features), height
-        )
+        given = (space, rows, table, linear, light, lens, word, start, stop, film, features)
+        for_slabs(partial(trace, *given), height)
     even, odd = (samples + 1) // 2, samples // 2
     film[0] /= even
     film[1] = film[1] / odd if odd else film[0]

@@ -10,6 +10,7 @@ Where the material meets a face of the volume it was cut there, and there is no 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import ceil
 
 import numpy as np
@@ -18,8 +19,16 @@ from trabecula.engine.compile import kernel
 from trabecula.measure.distance import distance_transform
 from trabecula.measure.labelling import label_components
 
-SIDE = 160
+SIDE = 96
 """Blocks along the longest edge, at most."""
+
+
+def coarse_factor(shape: Sequence[int]) -> int:
+    """Return the voxels along an edge of a block: three at least but in small volumes, so that the
+    coarse grid takes less memory than the volume.
+    """
+    longest = max(shape)
+    return max(1 if longest < 100 else 3, ceil(longest / SIDE))
 
 
 def rim_depths(
@@ -42,13 +51,17 @@ def rim_depths(
         In smallest edges; large where there is no outside.
     (3,) float
     """
-    factor = max(1, ceil(max(field.shape) / SIDE))
+    factor = coarse_factor(field.shape)
     solid = np.empty([-(-side // factor) for side in field.shape], bool)
     _coarsen(field, factor, solid)
     edges = stretch * factor
     spacing = tuple(edges[::-1])
     if solid.all() or not solid.any():
         return np.full((1, 1, 1), 1e6, np.float32), edges
+    # beyond a face lies more of what touches it: air, or the piece that it was cut of
+    more = [ceil(closing / edge) + 2 for edge in spacing]
+    inner = tuple(slice(count, -count) for count in more)
+    solid = np.pad(solid, [(count, count) for count in more], mode="edge")
     air = distance_transform(~solid, spacing=spacing)
     free = air > closing
     labels, _ = label_components(free)
@@ -56,12 +69,13 @@ def rim_depths(
         np.concatenate([np.take(labels, [0, -1], axis=axis).ravel() for axis in range(3)])
     )
     reached = np.isin(labels, faces[faces > 0])
+    del air, free, labels
     if not reached.any():
         return np.full((1, 1, 1), 1e6, np.float32), edges
     outside = distance_transform(~reached, spacing=spacing) < closing
     outside &= ~solid
     depth = distance_transform(~outside, spacing=spacing) - np.float32(0.5 * edges.min())
-    return _smooth(np.maximum(depth, 0)), edges
+    return _smooth(np.maximum(depth[inner], 0)), edges
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:

@@ -218,7 +218,7 @@ def meet(field, skip, form, origin, direction):
         if depth >= 0:
             # regula falsi: the field is nearly linear near the surface
             inside, above, below = t, depth, outer
-            for n in range(4):
+            for _ in range(4):
                 share = below / (below - above) if below < 0 else 0.0
                 middle = before + min(max(share, 0.05), 0.95) * (inside - before)
                 depth = depth_at(

@@ -13,7 +13,7 @@ a voxel are held beside the labels.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -34,9 +34,7 @@ walls (or gaps) of one or two voxels, which would become foils otherwise.
 """
 
 
-def smooth_surface(
-    labels: np.ndarray, drawn: np.ndarray, *, passes: int = PASSES
-) -> np.ndarray:
+def smooth_surface(labels: np.ndarray, drawn: np.ndarray, *, passes: int = PASSES) -> np.ndarray:
     """Return a smooth field whose zero is the drawn labels' surface.
 
     Parameters
@@ -59,8 +57,8 @@ def smooth_surface(
     for number in range(passes + 1):
         _blur(field, weights)
         thin = LEAST_THIN if number < passes else LEAST_THIN / 2
-        least = (int(LEAST * STEPS), int(thin * STEPS))
-        for_slabs(lambda a, b, least=least: _constrain(labels, drawn, field, *least, a, b), len(field))
+        bounds = (int(LEAST * STEPS), int(thin * STEPS))
+        for_slabs(partial(_constrain, labels, drawn, field, *bounds), len(field))
     return field
 
 
@@ -81,9 +79,7 @@ def _kernel() -> np.ndarray:
 def _blur(field: np.ndarray, weights: np.ndarray) -> None:
     depth, height, width = field.shape
     along_z = field.reshape(1, depth, height * width)
-    for_slabs(
-        lambda a, b: _blur_lines(along_z, weights, 0, 1, a, b), height * width, least=4096
-    )
+    for_slabs(lambda a, b: _blur_lines(along_z, weights, 0, 1, a, b), height * width, least=4096)
     for_slabs(lambda a, b: _blur_lines(field, weights, a, b, 0, width), depth)
     for_slabs(lambda a, b: _blur_rows(field, weights, a, b), depth)
 
@@ -111,7 +107,9 @@ def _blur_lines(field, weights, first, last, left, right):
                 for k in range(taps):
                     weight, at = weights[k], b + k - radius
                     if at <= b:  # overwritten already: what it was
-                        source = kept[max(at, -1) % (radius + 1)] if at < 0 else kept[at % (radius + 1)]
+                        source = (
+                            kept[max(at, -1) % (radius + 1)] if at < 0 else kept[at % (radius + 1)]
+                        )
                         for i in range(size):
                             total[i] += weight * source[i]
                     else:

@@ -82,7 +82,7 @@ def _ramp(value, low, high):
 @inline
 def _speck(x, y, z, share):
     """Return the share of a speck that covers a point: a ball in some cells of edge 1."""
-    i, j, k = int(math.floor(x)), int(math.floor(y)), int(math.floor(z))
+    i, j, k = math.floor(x), math.floor(y), math.floor(z)
     covered = 0.0
     for n in range(27):
         a, b, c = i + n % 3 - 1, j + (n // 3) % 3 - 1, k + n // 9 - 1
@@ -141,7 +141,9 @@ def _crust(rim, coarse, row, stops, x, y, z, lift, octaves, out):
         return
     s = row[PATCH]
     rough = turbulence(x / s, y / s, z / s, octaves, 53)
-    depth = max(depth * (1 + 0.5 * row[UNEVENNESS] * rough) + 0.45 * row[UNEVENNESS] * deepest * rough, 0.0)
+    depth = max(
+        depth * (1 + 0.5 * row[UNEVENNESS] * rough) + 0.45 * row[UNEVENNESS] * deepest * rough, 0.0
+    )
     if depth >= deepest:
         return
     n = 1
@@ -173,7 +175,9 @@ def tilt(row, x, y, z, normal):
     length = 0.0
     for axis in range(3):
         seed = 101 + 7 * axis
-        value = noise(x / s, y / s, z / s, seed) + 0.6 * noise(2.3 * x / s, 2.3 * y / s, 2.3 * z / s, seed + 3)
+        value = noise(x / s, y / s, z / s, seed) + 0.6 * noise(
+            2.3 * x / s, 2.3 * y / s, 2.3 * z / s, seed + 3
+        )
         normal[axis] += row[BUMP] * value
         length += normal[axis] ** 2
     length = math.sqrt(length)
