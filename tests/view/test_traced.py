@@ -8,6 +8,7 @@ import pytest
 import trabecula as tb
 from trabecula.core.errors import InputError, UnknownNameError
 from trabecula.engine.parallel import threads
+from trabecula.view.colours import form_of
 from trabecula.view.looks import to_linear
 from trabecula.view.scene import make_cut, viewer_direction
 from trabecula.view.trace import photograph
@@ -276,6 +277,68 @@ def test_a_colour_volume_takes_its_own_colours_and_its_mask():
     assert np.array_equal(drawn.values, given.values)
 
 
+def test_black_inside_a_coloured_form_stays():
+    values = np.zeros((12, 12, 12, 3), np.uint8)
+    values[2:10, 2:10, 2:10] = 200
+    values[5:7, 5:7, 5:7] = 0
+    image = tb.Image(values, "colour")
+    recipe = image.recipe.then("generate", values, request={"mask": [{"verb": "array"}]})
+    inside = form_of(tb.Image(values, "colour", recipe=recipe), None)
+    assert inside.sum() == 8**3
+    assert form_of(image, None).all()
+
+
+def lamp_light(direction, width, irradiance):
+    """Return a lamp alone, of an angular radius in degrees."""
+    light = uniform_light(0.0)
+    least = math.cos(math.radians(width))
+    light[0] = *(np.array(direction) / np.linalg.norm(direction)), least
+    light[1, :3] = irradiance / (2 * math.pi * (1 - least))
+    return light
+
+
+def test_every_path_to_the_lamp_brings_the_same_light():
+    """A thick translucent block shows the same light as a matt one: albedo times irradiance over
+    pi; and the lamp that is asked brings what a sky of the same radiance would.
+    """
+    block = np.ones((24, 24, 24), np.uint8)
+    lamp, seen = lamp_light((0, 0, 1), 20, 1.0), []
+    for depth in (0.0, 0.02):
+        material = PhaseMaterial(albedo=(188, 188, 188), specular=0.0, scattering_depth=depth)
+        light, features, _ = exposed(
+            block, material, lamp, samples=64, size=(16, 12), angles=(0.0, 89.0)
+        )
+        seen.append(light[features[..., 6] > 0.99].mean())
+    mean = (1 + math.cos(math.radians(20))) / 2  # of the cosine over the lamp
+    assert seen[0] == pytest.approx(mean * float(to_linear(188)) / math.pi, rel=0.02)
+    assert seen[1] == pytest.approx(seen[0], rel=0.1)
+
+
+def test_clear_material_mirrors_and_bends_light():
+    """A clear plate in a sky that is bright above alone: seen from above at a slant it shows
+    Fresnel's share of it, and what is below through it.
+    """
+    plate = np.ones((6, 40, 40), np.uint8)
+    light = uniform_light(0.0)
+    light[2:4, :3] = 1.0  # zenith and horizon; nothing comes from below
+    material = PhaseMaterial(
+        albedo=(255, 255, 255), transmission=1.0, roughness=0.0, refraction=1.5
+    )
+    seen, features, _ = exposed(
+        plate, material, light, samples=256, size=(24, 18), angles=(0.0, 40.0), lens=2.0
+    )
+    top = (features[..., 6] > 0.999) & (features[..., 2] > 0.999)
+    cosine = math.sin(math.radians(40))
+    through = math.sqrt(1 - (1 - cosine**2) / 1.5**2)
+    across = ((cosine - 1.5 * through) / (cosine + 1.5 * through)) ** 2
+    along = ((1.5 * cosine - through) / (1.5 * cosine + through)) ** 2
+    mirrored = (across + along) / 2
+    both = 2 * mirrored / (1 + mirrored)  # of both faces, to and fro
+    middle = seen[7:10, 10:14]
+    assert top[7:10, 10:14].all()
+    assert mirrored * 0.9 < middle.mean() < both * 1.1
+
+
 @pytest.mark.parametrize(
     ("image", "options", "message"),
     [
@@ -318,6 +381,11 @@ def test_what_cannot_be_traced_is_refused(image, options, message):
 def test_unknown_words_of_a_traced_still_suggest_the_nearest(options, message):
     with pytest.raises(UnknownNameError, match=message):
         tb.render(foam(8), **{"quality": "draft", "size": SMALL, **options})
+
+
+def test_a_colour_volume_with_alpha_is_told_what_to_do():
+    with pytest.raises(InputError, match="alpha"):
+        tb.Image(np.zeros((4, 4, 4, 4), np.uint8), "colour")
 
 
 def test_settings_of_traced_stills_are_refused_by_quick_ones():

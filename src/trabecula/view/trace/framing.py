@@ -124,6 +124,6 @@ def frame_camera(
         given[1], given[2], given[3] = right * pixel, -above * pixel, start
     given[4] = aperture / 2 * extent, sharp, float(lens <= 0)
     given[5] = -viewer
-    heights = points @ upwards
+    heights = kept @ upwards
     ground = float(heights.min()) - pad
     return Framing(given, right, above, viewer, upwards, ground, middle, extent, step * distance)
