@@ -40,6 +40,7 @@ import networks
 import noise
 import novelty_blind
 import papers
+import photographs
 import printing
 import scan
 import stills
@@ -137,6 +138,7 @@ CASES: dict[str, Callable[[], None]] = {
     "view_still": view.view_still,
     "view_page": view.view_page,
     "stills": stills.stills,
+    "photographs": photographs.photographs,
     "surfaces": printing.surfaces,
     "layers": printing.layers,
     "intervals": intervals.intervals,

@@ -11,7 +11,7 @@ from common import pictures, table
 from trabecula.view.trace.photograph import SAMPLES, forecast_traced
 from view import bone
 
-LOOKS = ("bone", "stone", "foam", "glass")
+LOOKS = ("bone", "stone", "foam")
 SMALL, LONG = (120, 90), 512
 
 

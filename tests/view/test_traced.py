@@ -1,9 +1,11 @@
 """Traced stills: smooth surfaces, energy, known shading, the same picture every time."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image as Pillow
 
 import trabecula as tb
 from trabecula.core.errors import InputError, UnknownNameError
@@ -433,3 +435,30 @@ def test_a_lens_blurs_what_is_not_in_focus():
         ).values.astype(int)  # fmt: skip
         still[focus] = np.abs(np.diff(picture[8:28, 20:28].mean(axis=-1), axis=0)).mean()
     assert still[0.0] > 1.3 * still[1.0]
+
+
+GOLDEN = Path(__file__).with_name("traced.png")
+LOOKS_SHOWN = ("bread", "foam", "glass")
+
+
+def golden_strip():
+    """Return the stills of the golden picture, beside one another."""
+    stills = [
+        tb.render(foam(20, seed=2), look=look, quality="fine", samples=8, size=(64, 48)).values
+        for look in LOOKS_SHOWN
+    ]
+    return np.concatenate(stills, axis=1)
+
+
+def test_pictures_stay_as_they_were():
+    """Allow for other libraries of mathematics: a few paths may turn elsewhere. `python
+    tests/view/test_traced.py` draws the golden picture anew.
+    """
+    with Pillow.open(GOLDEN) as picture:
+        expected = np.asarray(picture.convert("RGB")).astype(int)
+    apart = np.abs(golden_strip().astype(int) - expected)
+    assert apart.mean() < 1.5 and np.quantile(apart, 0.99) < 30
+
+
+if __name__ == "__main__":
+    Pillow.fromarray(golden_strip()).save(GOLDEN, optimize=True)

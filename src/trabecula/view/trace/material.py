@@ -272,7 +272,7 @@ TRACED: dict[str, TracedLook] = {
             ),
         ),
         void=PhaseMaterial(
-            albedo=(150, 46, 34), roughness=0.25, specular=0.5, scattering_depth=0.006,
+            albedo=(164, 66, 46), roughness=0.25, specular=0.5, scattering_depth=0.006,
             grain=0.5, grain_size=0.05, grain_albedo=(196, 120, 60), bump=0.1, bump_size=0.01,
         ),
         background=(206, 208, 212),

@@ -242,12 +242,15 @@ def _walk(field, form, point, normal, direction, surface, through, state):
     direction[0], direction[1], direction[2] = -x, -y, -z
     for axis in range(3):
         point[axis] -= OFF * normal[axis]
-    for _ in range(WALK):
+    for number in range(WALK):
         far = -math.log(1.0 - draw(state)) * length
         t = leave(field, form, point, direction, far)
         for axis in range(3):
             point[axis] += t * direction[axis]
         if t < far:
+            if number == 0:  # straight through a thin wall: its dye is taken once
+                for c in range(3):
+                    through[c] *= surface[c]
             normal_at(field, form, point[0], point[1], point[2], normal)
             return True
         through[0] *= red
