@@ -62,15 +62,14 @@ def _has_mask(image: Image) -> bool:
 
 def few_colours(image: Image, inside: np.ndarray) -> FieldColours:
     """Return a colour volume as bands of at most STEPS^3 colours, 0 where it is no material."""
-    steps = image.values.astype(np.uint16) * STEPS // 256
-    bands = (steps[..., 0] * STEPS + steps[..., 1]) * STEPS + steps[..., 2]
-    kept = inside > 0
-    found = bands[kept]
-    count = np.maximum(np.bincount(found, minlength=STEPS**3), 1)
-    means = [
-        np.bincount(found, weights=image.values[..., c][kept], minlength=STEPS**3) / count
-        for c in range(3)
-    ]
-    labels = np.where(kept, bands + 1, 0).astype(np.uint8)
-    colours = np.concatenate([[(0, 0, 0)], np.rint(np.stack(means, axis=1))]).astype(np.uint8)
-    return FieldColours(labels, colours, None)
+    labels = np.zeros(image.shape, np.uint8)
+    count, total = np.zeros(STEPS**3), np.zeros((3, STEPS**3))
+    for values, kept, out in zip(image.values, inside > 0, labels, strict=True):
+        steps = values.astype(np.uint16) * STEPS // 256
+        found = ((steps[..., 0] * STEPS + steps[..., 1]) * STEPS + steps[..., 2])[kept]
+        out[kept] = found + 1
+        count += np.bincount(found, minlength=STEPS**3)
+        for c in range(3):
+            total[c] += np.bincount(found, weights=values[..., c][kept], minlength=STEPS**3)
+    means = np.rint(total / np.maximum(count, 1)).T
+    return FieldColours(labels, np.concatenate([[(0, 0, 0)], means]).astype(np.uint8), None)
