@@ -138,6 +138,7 @@ CASES: dict[str, Callable[[], None]] = {
     "view_still": view.view_still,
     "view_page": view.view_page,
     "stills": stills.stills,
+    "stills_noise": stills.stills_noise,
     "photographs": photographs.photographs,
     "surfaces": printing.surfaces,
     "layers": printing.layers,
