@@ -40,9 +40,11 @@ import networks
 import noise
 import novelty_blind
 import papers
+import photographs
 import printing
 import properties
 import scan
+import stills
 import texture
 import texture_figures
 import texture_speed
@@ -137,6 +139,9 @@ CASES: dict[str, Callable[[], None]] = {
     "papers": papers.papers,
     "view_still": view.view_still,
     "view_page": view.view_page,
+    "stills": stills.stills,
+    "stills_noise": stills.stills_noise,
+    "photographs": photographs.photographs,
     "surfaces": printing.surfaces,
     "layers": printing.layers,
     "intervals": intervals.intervals,

@@ -106,6 +106,23 @@ def test_a_still_is_cut_as_asked_and_can_be_made_again(place):
     np.testing.assert_array_equal(tb.read("still.png").values, expected.values)
 
 
+def test_a_traced_still_is_that_of_python_and_can_be_run_again(place):
+    (place / "own.toml").write_text('base = "wax"\nalbedo = [200, 120, 90]\n')
+    words = ("render", "a.tif", "--out", "traced.png", "--size", 32, 24, "--cut", "none")
+    options = ("--quality", "draft", "--samples", 2, "--look", "own.toml", "--up", "y")
+    trabecula(*words, *options, "--lens", 40, "--no-ground", "--phase", "solid")
+    still = tb.read("traced.png")
+    expected = tb.render(
+        tb.read("a.tif"), size=(32, 24), cut="none", quality="draft", samples=2, look="own.toml",
+        up="y", lens=40, ground=False, phase=["solid"],
+    )  # fmt: skip
+    np.testing.assert_array_equal(still.values, expected.values)
+    (place / "own.toml").unlink()  # the recipe holds the look
+    assert trabecula("rerun", "traced.png").sha256 == still.recipe.to_json()[-1]["sha256"]
+    assert "quality" in refused(*words, "--exposure", 1)
+    assert "--turntable" in refused(*words[:3], "t.gif", "--turntable", 3, "--quality", "draft")
+
+
 def test_a_turntable_is_a_moving_picture(place):
     output = trabecula("render", "a.tif", "--out", "turn.gif", "--turntable", 3, "--size", 48, 40)
     assert "3 frames" in output.out

@@ -350,7 +350,7 @@ def test_an_unknown_name_suggests_the_nearest(options, message):
     ("image", "options", "message"),
     [
         (np.ones((4, 4), bool), {}, "needs a volume"),
-        (tb.Image(np.zeros((4, 4, 4, 3), np.uint8), "colour"), {}, "is colour"),
+        (tb.Image(np.zeros((4, 4, 4, 3), np.uint8), "colour"), {"phase": 1}, "has its own"),
         (np.ones((4, 4, 4), bool), {"size": (8, 600)}, "16..8192"),
         (np.ones((4, 4, 4), bool), {"camera": (0, 91)}, "elevation"),
         (np.ones((4, 4, 4), bool), {"camera": "front"}, "azimuth"),

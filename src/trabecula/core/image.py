@@ -271,8 +271,11 @@ def _none_if_empty(spacing: float | Sequence[float] | None) -> float | Sequence[
 def _as_values(values: np.ndarray, kind: str) -> np.ndarray:
     if kind == "colour":
         if values.shape[-1] != 3 or values.dtype != np.uint8:
+            alpha = values.shape[-1] == 4
+            advice = ": leave the fourth, alpha, out (form=alpha > 0 of a still says where it is)"
             raise InputError(
                 f"colour is uint8 with 3 channels last: got {values.dtype}, shape {values.shape}"
+                + (advice if alpha else "")
             )
         return values
     if kind == "grey":

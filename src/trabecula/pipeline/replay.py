@@ -388,6 +388,13 @@ def _repeat_render(image: Image | None, step: Mapping[str, Any], sources: Recipe
         inside = sources.inside("target")
         given["field"] = _replay_steps(Recipe.from_json(step["field"]), inside)
         given["limits"] = step["limits"]
+    if "form" in step:
+        given["form"] = _replay_steps(Recipe.from_json(step["form"]), sources.inside("form"))
+    if "up" in step:
+        given["up"] = step["up"]
+    if "quality" in step:
+        given["quality"] = step["quality"]
+        given |= {name: value for name, value in step["taken"].items() if name != "denoise"}
     return render(_require(image), **given)
 
 

@@ -36,12 +36,13 @@ class FieldColours:
         0 where nothing is drawn, else 1 + the band.
     colours : uint8 array, (BANDS + 1, 3)
     limits : (low, high)
-        Values of the first and the last colour.
+        Values of the first and the last colour; None for colours of a volume's own, which have no
+        legend.
     """
 
     labels: np.ndarray
     colours: np.ndarray
-    limits: tuple[float, float]
+    limits: tuple[float, float] | None
 
 
 def colour_by(
@@ -108,7 +109,7 @@ def draw_legend(
         canvas.rectangle(
             (edges[band], bottom - thick, edges[band + 1] - 1, bottom - 1), fill=colour
         )
-    words = [f"{value:.3g}" for value in colours.limits]
+    words = [f"{value:.3g}" for value in colours.limits or ()]
     given = {"fill": ink, "font": font(size)}
     top = bottom - thick - size // 3
     canvas.text((right - wide, top), words[0], anchor="ls", **given)

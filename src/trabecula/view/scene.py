@@ -20,6 +20,7 @@ from trabecula.engine.memory import Plan, check_budget
 from trabecula.engine.parallel import for_slabs
 from trabecula.view import kernels
 from trabecula.view.colouring import FieldColours, colour_by, draw_legend
+from trabecula.view.colours import few_colours, form_of
 from trabecula.view.looks import (
     AMBIENCE,
     FILL,
@@ -27,7 +28,6 @@ from trabecula.view.looks import (
     LAMP_STRENGTH,
     Look,
     all_round,
-    find_look,
     phase_colours,
     to_linear,
     to_srgb,
@@ -38,6 +38,18 @@ from trabecula.view.volume import Volume, prepare_volume, visible_phases
 
 SAMPLING = 2
 """Rays along each edge of a pixel."""
+
+UPRIGHT = {
+    "z": np.eye(3),
+    "y": np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]),
+    "x": np.array([[0, 1.0, 0], [0, 0, 1.0], [1.0, 0, 0]]),
+    "-z": np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]]),
+    "-y": np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]]),
+    "-x": np.array([[0, 1.0, 0], [0, 0, -1.0], [-1.0, 0, 0]]),
+}
+"""Axis of the volume that points up -> where the right of a camera at azimuth 0, the way it looks
+and up point in the volume (x, y, z). Rotations: nothing is mirrored.
+"""
 
 CUTS = ("corner", "none", "x", "y", "z", "plane")
 """First words of the cuts: a corner, none, halves along axes, one side of a free plane."""
@@ -79,7 +91,11 @@ def parse_cut(cut: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def make_cut(
-    words: Sequence[str], shape: Sequence[int], edges: np.ndarray, viewer: np.ndarray
+    words: Sequence[str],
+    shape: Sequence[int],
+    edges: np.ndarray,
+    viewer: np.ndarray,
+    up: str = "z",
 ) -> Cut:
     """Make the cut of a volume.
 
@@ -94,6 +110,8 @@ def make_cut(
         Of a voxel along x, y, z.
     viewer : (3,) float
         Direction towards the viewer.
+    up : one of UPRIGHT
+        What azimuth and elevation refer to.
     """
     sides, towards = np.array(shape, float), viewer >= -1e-9
     box, plane = np.array([0 * sides, sides, 0 * sides, 0 * sides]), np.array([0.0, 0.0, 0.0, 1.0])
@@ -107,22 +125,23 @@ def make_cut(
             at = (numbers[0] if numbers else 0.5) * sides[axis]
             box[1 if towards[axis] else 0, axis] = at
         elif name == "plane":
-            plane = _cut_plane(numbers, sides * edges / edges.min())
+            plane = _cut_plane(numbers, sides * edges / edges.min(), up)
     return Cut(box, plane)
 
 
-def _cut_plane(numbers: Sequence[float], extent: np.ndarray) -> np.ndarray:
+def _cut_plane(numbers: Sequence[float], extent: np.ndarray, up: str) -> np.ndarray:
     azimuth, elevation, at = (*numbers, 0.5)[:3]
-    normal = viewer_direction(azimuth, elevation)
+    normal = viewer_direction(azimuth, elevation, up)
     return np.array([*normal, normal @ extent / 2 + (at - 0.5) * (np.abs(normal) @ extent)])
 
 
-def viewer_direction(azimuth: float, elevation: float) -> np.ndarray:
+def viewer_direction(azimuth: float, elevation: float, up: str = "z") -> np.ndarray:
     """Return the (3,) unit vector (x, y, z) to a viewer at that azimuth and elevation, degrees."""
     turn, lift = math.radians(azimuth), math.radians(elevation)
-    return np.array(
+    viewer = np.array(
         [math.sin(turn) * math.cos(lift), -math.cos(turn) * math.cos(lift), math.sin(lift)]
     )
+    return viewer if up == "z" else viewer @ UPRIGHT[up]
 
 
 def _cut_numbers(word: str) -> list[float]:
@@ -202,6 +221,7 @@ def place_camera(
     margin: int,
     foot: int,
     pixel: float | None = None,
+    up: str = "z",
 ) -> Camera:
     """Place a camera so that it sees the whole box.
 
@@ -216,20 +236,21 @@ def place_camera(
         Pixels left free all round, and more at the foot for the scale bar.
     pixel : float, optional
         Edge of a pixel. Default: such that the box fills what is free.
+    up : one of UPRIGHT
     """
     azimuth = math.radians(angles[0])
-    right = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
-    viewer = viewer_direction(*angles)
-    up = np.cross(viewer, right)
+    right = np.array([math.cos(azimuth), math.sin(azimuth), 0.0]) @ UPRIGHT[up]
+    viewer = viewer_direction(*angles, up)
+    above = np.cross(viewer, right)
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * extent
-    width, height = np.ptp(corners @ right), np.ptp(corners @ up)
+    width, height = np.ptp(corners @ right), np.ptp(corners @ above)
     if pixel is None:
         pixel = max(
             width / max(size[0] - 2 * margin, 1), height / max(size[1] - 2 * margin - foot, 1)
         )
     far = extent / 2 + viewer * np.linalg.norm(extent)
     across, down = (size[0] - 1) / 2 * pixel, (size[1] - foot - 1) / 2 * pixel
-    return Camera(right, up, viewer, far - right * across + up * down, pixel)
+    return Camera(right, above, viewer, far - right * across + above * down, pixel)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,6 +263,7 @@ class Scene:
     look: Look
     size: tuple[int, int]
     colours: FieldColours | None = None
+    up: str = "z"
 
     @property
     def margin(self) -> int:
@@ -256,7 +278,9 @@ class Scene:
     def camera(self, angles: tuple[float, float], pixel: float | None = None) -> Camera:
         """Return a camera that sees the whole box, or its middle with pixels of that edge."""
         extent, foot = self.edges * self.image.shape[::-1], bar_height(_letters(self.size[1]))
-        return place_camera(angles, extent, self.size, margin=self.margin, foot=foot, pixel=pixel)
+        return place_camera(
+            angles, extent, self.size, margin=self.margin, foot=foot, pixel=pixel, up=self.up
+        )
 
     def picture(
         self, angles: tuple[float, float], pixel: float | None = None
@@ -286,9 +310,24 @@ class Scene:
         return light
 
 
-def prepare_scene(
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """What is drawn, checked: the image, its labels, which of them are drawn, the cut; `colours`
+    where a field or a colour volume gives them.
+    """
+
+    image: Image
+    labels: np.ndarray
+    drawn: Sequence[int]
+    cut: Cut
+    size: tuple[int, int]
+    angles: tuple[float, float]
+    up: str
+    colours: FieldColours | None = None
+
+
+def prepare_subject(
     image: Image | ArrayLike,
-    look: str,
     phase: str | int | Sequence[str | int] | None,
     camera: tuple[float, float],
     cut: str | Sequence[str],
@@ -296,27 +335,63 @@ def prepare_scene(
     threshold: float | None,
     field: Image | None = None,
     limits: Sequence[float] | None = None,
-) -> tuple[Scene, tuple[float, float]]:
-    """Check everything, then prepare the volume; the scene, and the angles of the camera."""
-    drawable = _as_drawable(image, threshold)
-    chosen, words = find_look(look), parse_cut(cut)
+    form: Image | ArrayLike | None = None,
+    up: str = "z",
+) -> Subject:
+    """Check everything that is drawn, and where it is seen from."""
+    image = as_image(image)
+    colour = image.kind == "colour" and image.ndim == 3
+    if form is not None and not colour:
+        raise InputError("form is of a colour volume: of labels choose with phase=...")
+    drawable = image if colour else _as_drawable(image, threshold)
+    if colour:
+        for name, value in (("phase", phase), ("threshold", threshold), ("field", field)):
+            if value is not None:
+                raise InputError(f"{name} does not go with a colour volume, which has its own")
+    words = parse_cut(cut)
     width, height = _as_size(size)
     angles = as_angles(camera)
+    check_name(up, UPRIGHT, name="up")
+    edges, viewer = np.array(drawable.spacing[::-1]), viewer_direction(*angles, up)
+    opened = make_cut(words, drawable.shape[::-1], edges, viewer, up)
+    if limits is not None and field is None:
+        raise InputError("limits are of a field: give the field as well, or leave them out")
+    colours = None
+    if colour:
+        labels, drawn = form_of(image, form), [1]
+    else:
+        labels, drawn = drawable.values, visible_phases(drawable, phase)
+    if field is not None:
+        colours = colour_by(drawable, drawn, field, limits)
+        labels, drawn = colours.labels, list(range(1, len(colours.colours)))
+    return Subject(drawable, labels, drawn, opened, (width, height), angles, up, colours)
+
+
+def prepare_scene(
+    image: Image | ArrayLike,
+    look: Look,
+    phase: str | int | Sequence[str | int] | None,
+    camera: tuple[float, float],
+    cut: str | Sequence[str],
+    size: tuple[int, int],
+    threshold: float | None,
+    field: Image | None = None,
+    limits: Sequence[float] | None = None,
+    form: Image | ArrayLike | None = None,
+    up: str = "z",
+) -> tuple[Scene, tuple[float, float]]:
+    """Check everything, then prepare the volume; the scene, and the angles of the camera."""
+    it = prepare_subject(image, phase, camera, cut, size, threshold, field, limits, form, up)
     check_budget(
-        forecast(drawable.shape, (width, height)),
+        forecast(it.image.shape, it.size),
         advice="render a crop, or a coarser level of a .zarr",
     )
-    edges, viewer = np.array(drawable.spacing[::-1]), viewer_direction(*angles)
-    opened = make_cut(words, drawable.shape[::-1], edges, viewer)
-    drawn = visible_phases(drawable, phase)
-    if field is None:
-        if limits is not None:
-            raise InputError("limits are of a field: give the field as well, or leave them out")
-        volume = prepare_volume(drawable.values, drawn)
-        return Scene(drawable, volume, opened, chosen, (width, height)), angles
-    colours = colour_by(drawable, drawn, field, limits)
-    volume = prepare_volume(colours.labels, range(1, len(colours.colours)))
-    return Scene(drawable, volume, opened, chosen, (width, height), colours), angles
+    colours = few_colours(it.image, it.labels) if it.image.kind == "colour" else it.colours
+    labels, drawn = it.labels, it.drawn
+    if colours is not None:
+        labels, drawn = colours.labels, list(range(1, len(colours.colours)))
+    volume = prepare_volume(labels, drawn)
+    return Scene(it.image, volume, it.cut, look, it.size, colours, it.up), it.angles
 
 
 def forecast(shape: Sequence[int], size: tuple[int, int]) -> Plan:
@@ -329,10 +404,6 @@ def _as_drawable(image: Image | ArrayLike, threshold: float | None) -> Image:
     if image.ndim != 3:
         raise InputError(
             f"a still needs a volume, the image has shape {image.shape}: show it with slices()"
-        )
-    if image.kind == "colour":
-        raise InputError(
-            "a still needs labels or grey, the image is colour: show it with slices() or view()"
         )
     if image.kind == "grey":
         if threshold is None:
@@ -369,6 +440,22 @@ def _palette(image: Image, look: Look, colours: FieldColours | None = None) -> n
     return np.concatenate([fixed, to_linear(phase_colours(image, look))])
 
 
+def draw_field_legend(values: np.ndarray, colours: FieldColours) -> np.ndarray:
+    """Return a picture with the legend of a field in its lower right corner."""
+    from PIL import Image as Pillow
+    from PIL import ImageDraw
+
+    picture = Pillow.fromarray(values)
+    height, width = values.shape[:2]
+    margin = max(8, min(width, height) // 24)
+    corner = values[-margin:, -margin:].reshape(-1, 3).mean(axis=0).astype(int).tolist()
+    canvas = ImageDraw.Draw(picture)
+    ink = ink_on((corner[0], corner[1], corner[2]))
+    at = (width - margin, height - margin)
+    draw_legend(canvas, *at, colours, ink=ink, size=_letters(height))
+    return np.asarray(picture)
+
+
 def _letters(height: int) -> int:
     """Return the height of letters that suits a picture."""
     return max(12, height // 32)
@@ -388,7 +475,7 @@ def _with_bar(
     picture = Pillow.fromarray(values)
     height, width = values.shape[:2]
     canvas = ImageDraw.Draw(picture)
-    if colours is not None:
+    if colours is not None and colours.limits is not None:
         letters, ink = _letters(height), ink_on(look.background)
         draw_legend(canvas, width - margin, height - margin, colours, ink=ink, size=letters)
     draw_bar(
