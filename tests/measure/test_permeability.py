@@ -108,6 +108,29 @@ def test_square_duct(sides, error):
     assert permeability(walled, axis=0).value * area == pytest.approx(exact, rel=error)
 
 
+@pytest.mark.parametrize("width", [3, 4])
+def test_extrapolation_takes_the_error_of_flat_walls_away(width):
+    series = sum(math.tanh(n * math.pi / 2) / n**5 for n in range(1, 99, 2))
+    exact = (1 - 192 / math.pi**5 * series) / 12 * width**4 / (width + 2) ** 2
+    void = np.zeros((4, width, width), np.uint8)
+    walled = np.pad(void, ((0, 0), (1, 1), (1, 1)), constant_values=1)
+    found = permeability(walled, axis=0, halving=True)
+    assert found.value > 1.2 * exact
+    assert found.extrapolated == pytest.approx(exact, rel=0.02)
+    assert permeability(walled, axis=0).extrapolated is None
+
+
+@pytest.mark.parametrize("width", [8, 16])
+def test_stairs_of_an_oblique_duct_err_as_flat_walls_do(width):
+    # beside a square duct of as many voxels
+    series = sum(math.tanh(n * math.pi / 2) / n**5 for n in range(1, 99, 2))
+    at = np.arange(int(1.42 * width) + 6) + 0.5 - (int(1.42 * width) + 6) / 2
+    duct = abs(at[:, None]) + abs(at) < width / math.sqrt(2)
+    image = np.repeat((~duct).astype(np.uint8)[None], 3, axis=0)
+    exact = (1 - 192 / math.pi**5 * series) / 12 * float(duct.sum()) ** 2 / duct.size
+    assert permeability(image, axis=0).value == pytest.approx(exact * (1 + 3 / width**2), rel=0.02)
+
+
 @pytest.mark.parametrize(
     ("sides", "fraction", "drag", "error"),
     [
@@ -221,6 +244,14 @@ def test_a_real_sandstone_is_balanced(data):
     tight = permeability(image, axis=0, box=64, tolerance=1e-7)
     assert found.converged and found.imbalance <= 1e-4 and tight.imbalance <= 1e-7
     assert found.value == pytest.approx(tight.value, rel=1e-4)
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-8])
+def test_noise_of_short_runs_is_solved_in_single_and_double_precision(tolerance):
+    values = medium(11, (14, 13, 12), 0.4)
+    found = permeability(values, axis=1, tolerance=tolerance)
+    exact = permeability(values, axis=1, tolerance=1e-10)
+    assert found.converged and found.value == pytest.approx(exact.value, rel=2 * tolerance)
 
 
 def test_a_solve_cut_short_says_so(monkeypatch):

@@ -207,9 +207,7 @@ def _radial(volume: Slabs, r_max: int) -> Radial:
     return Radial(Window(volume.shape, (False,) * 3), r_max, steps_of(volume.spacing))
 
 
-def _add_diameters(
-    found: dict[str, Any], volume: Slabs, depth: int, memory: int | None
-) -> None:
+def _add_diameters(found: dict[str, Any], volume: Slabs, depth: int, memory: int | None) -> None:
     """Add the mean diameters of solid, void and every further phase, as far as memory allows."""
     budget = available_memory() if memory is None else as_budget(memory)
 

@@ -367,9 +367,7 @@ def _quarters(part: np.ndarray, axis: int, label: int | None) -> np.ndarray:
         parts = _split(lines, 4, axis=1)
     else:
         parts = [
-            quarter
-            for half in _split(lines, 2, axis=1)
-            for quarter in _split(half, 2, axis=2)
+            quarter for half in _split(lines, 2, axis=1) for quarter in _split(half, 2, axis=2)
         ]
     others = tuple(range(1, lines.ndim))
     if label is None:
@@ -382,9 +380,7 @@ def _quarters(part: np.ndarray, axis: int, label: int | None) -> np.ndarray:
 
 def _split(lines: np.ndarray, count: int, axis: int) -> list[np.ndarray]:
     """Split into parts along an axis; a side too short for that stands for those it has not."""
-    return [
-        part if part.shape[axis] else lines for part in np.array_split(lines, count, axis=axis)
-    ]
+    return [part if part.shape[axis] else lines for part in np.array_split(lines, count, axis=axis)]
 
 
 def _round_axis(values: np.ndarray, box: list[tuple[int, int]]) -> int | None:

@@ -34,7 +34,7 @@ class MarkerGrid:
         self.volume = float(np.prod(edges))
         self.area = self.volume / edges
         self.pull = self.volume / edges**2
-        lengths = [part.length for part in (*faces, cells)]
+        lengths = [*(face.length for face in faces), cells.length]
         self.bounds = [0, *np.cumsum(lengths).tolist()]
         self.length = self.bounds[4]
 
@@ -44,7 +44,9 @@ class MarkerGrid:
         pull = float(np.prod(edges)) / edges**2
         number, count, nodes = segments.number_voxels(active)
         zeros = active.shape[2] + 2  # no segment is longer
-        faces, slots = [], []
+        given: tuple[Any, ...]
+        faces: list[FaceSegments] = []
+        slots: list[np.ndarray] = []
         for axis in range(3):
             slot, most, total = segments.number_faces(active, axis)
             given = (number, slot, axis, pull, most, count)
@@ -54,10 +56,11 @@ class MarkerGrid:
             kinds = code.astype(np.uint16), both.real.copy(), both.imag.copy()
             faces.append(FaceSegments(table, *kinds, place, most, total, most + zeros))
             slots.append(slot)
-        ends = np.array([face.count for face in faces])
-        found = segments.find_cell_segments(number, *slots, count, ends, 0)[2]
-        *fields, _ = segments.find_cell_segments(number, *slots, count, ends, found)
-        cells = CellSegments(*fields, count, nodes, count + zeros)
+        ends = np.array([face.slots for face in faces])
+        around = (number, *_three(slots), count, ends)
+        found = segments.find_cell_segments(*around, 0)[2]
+        table, place, _ = segments.find_cell_segments(*around, found)
+        cells = CellSegments(table, place, count, nodes, count + zeros)
         return cls(tuple(faces), cells, edges, len(active))
 
     def parts(self, x: np.ndarray) -> list[np.ndarray]:
@@ -78,7 +81,7 @@ class MarkerGrid:
                 pressure,
                 force[axis],
             )
-        segments.divergence(self.cells.table, self.area, *velocity, outflow)
+        segments.divergence(self.cells.table, self.area, *_three(velocity), outflow)
         return out
 
     def multiply(self, x: np.ndarray) -> np.ndarray:
@@ -111,7 +114,7 @@ class _FinestLevel:
         self.alone: tuple[GraphLevel, np.ndarray] | None = None
         self.aggregate = np.zeros(0, np.int32)
         if self.below:
-            self.aggregate = np.zeros(part.count, np.int32)
+            self.aggregate = np.zeros(part.slots, np.int32)
             self.aggregate[slots] = levels[0].aggregate
         else:
             self.alone = levels[0], slots
@@ -158,16 +161,16 @@ class FaceLevel(_FinestLevel):
 class CellLevel(_FinestLevel):
     """The matrix of div (mobility grad)."""
 
-    def __init__(
-        self, cells: CellSegments, mobility: list[np.ndarray], pull: np.ndarray
-    ) -> None:
-        self.matrix = (cells.table, pull, *mobility)
+    def __init__(self, cells: CellSegments, mobility: list[np.ndarray], pull: np.ndarray) -> None:
+        self.matrix = (cells.table, pull, *_three(mobility))
         number, slots = segments.compact_numbers(cells.table, cells.length)
         graph = Graph(
-            *segments.cell_graph(cells.table, cells.place, *mobility, pull, number, cells.nodes)
+            *segments.cell_graph(
+                cells.table, cells.place, *_three(mobility), pull, number, cells.nodes
+            )
         )
         super().__init__(cells, graph, slots)
-        self.inverse = np.zeros(cells.count, np.float32)
+        self.inverse = np.zeros(cells.slots, np.float32)
         segments.cell_inverse(*self.matrix, self.inverse)
 
     def presmooth(self, right: np.ndarray, x: np.ndarray | None) -> np.ndarray:
@@ -249,10 +252,10 @@ class SimplePreconditioner:
         x = np.zeros(flow.length, np.float32)
         *velocity, pressure = flow.parts(x)
         velocity[0][:] = self.mobility[0] * flow.driving_force()
-        segments.divergence(flow.cells.table, flow.area, *velocity, self.outflow)
+        segments.divergence(flow.cells.table, flow.area, *_three(velocity), self.outflow)
 
         def multiply(p: np.ndarray, out: np.ndarray) -> None:
-            segments.multiply_cells(flow.cells.table, self.pull, *self.mobility, p, out)
+            segments.multiply_cells(flow.cells.table, self.pull, *_three(self.mobility), p, out)
 
         pressure[:] = _RoughSystem(multiply, self.pressure).solve(-self.outflow)
         self._push(pressure, velocity)
@@ -266,7 +269,7 @@ class SimplePreconditioner:
         *force, outflow = flow.parts(residual)
         for u, cycle, right in zip(velocity, self.velocity, force, strict=True):
             _cycle(cycle, right, u)
-        segments.divergence(flow.cells.table, flow.area, *velocity, self.outflow)
+        segments.divergence(flow.cells.table, flow.area, *_three(velocity), self.outflow)
         np.subtract(outflow, self.outflow, out=self.outflow, casting="same_kind")
         _cycle(self.pressure, self.outflow, pressure)
         self._push(pressure, velocity)
@@ -290,3 +293,8 @@ def _cycle(multigrid: Multigrid[Any], right: np.ndarray, x: np.ndarray) -> np.nd
     found = multigrid(np.asarray(right, np.float32))
     finest.x = np.zeros(0, np.float32)
     return found
+
+
+def _three(parts: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    z, y, x = parts
+    return z, y, x

@@ -37,7 +37,7 @@ class FaceSegments(NamedTuple):
     diagonal: np.ndarray  # float64, by code: of the viscous matrix
     share: np.ndarray  # float64, by code: of a whole control volume
     place: np.ndarray  # int16, (S, 3): of the first
-    count: int
+    slots: int
     """Slots before the zeros."""
     nodes: int
     """Velocities."""
@@ -50,7 +50,7 @@ class CellSegments(NamedTuple):
 
     table: np.ndarray  # int32, (S, CELL_COLUMNS)
     place: np.ndarray  # int16, (S, 3): of the first
-    count: int
+    slots: int
     nodes: int
     length: int
 
@@ -285,7 +285,9 @@ def spread(table, values, length):
 
 @kernel
 def compact_numbers(table, length):
-    """Number the nodes without the slots between runs: by slot, -1 elsewhere; and the slots."""
+    """Return the numbers of nodes without the slots between runs, by slot, -1 elsewhere; and the
+    slots.
+    """
     number = np.full(length, -1, np.int32)
     nodes = 0
     for s in range(len(table)):
@@ -383,7 +385,11 @@ def momentum(table, code, diagonal, share, pull, area, velocity, pressure, force
     wz, push_area = kind(pull[0]), kind(area)
     for s in range(len(table)):
         first, length = table[s, 0], table[s, 1]
-        own, wy, wx = kind(diagonal[code[s]]), kind(pull[1] * share[code[s]]), kind(pull[2] * share[code[s]])
+        own, wy, wx = (
+            kind(diagonal[code[s]]),
+            kind(pull[1] * share[code[s]]),
+            kind(pull[2] * share[code[s]]),
+        )
         i = velocity[first - 1 : first + length + 1]
         a, b = velocity[table[s, 2] :], velocity[table[s, 3] :]
         c, d = velocity[table[s, 4] :], velocity[table[s, 5] :]
@@ -433,7 +439,10 @@ def sweep_faces_forward(table, code, diagonal, share, pull, right, x):
     for s in range(len(table)):
         first, length = table[s, 0], table[s, 1]
         inverse = np.float32(1.0 / diagonal[code[s]])
-        wy, wx = np.float32(pull[1] * share[code[s]]), np.float32(pull[2] * share[code[s]]) * inverse
+        wy, wx = (
+            np.float32(pull[1] * share[code[s]]),
+            np.float32(pull[2] * share[code[s]]) * inverse,
+        )
         a, c = x[table[s, 2] :], x[table[s, 4] :]
         r, out = right[first : first + length], x[first : first + length]
         for k in range(length):
