@@ -270,6 +270,7 @@ def _walk(field, form, point, normal, direction, surface, through, state):
 def _through_glass(field, form, point, normal, direction, surface, through, state):
     """Take a path through a clear material; return whether it came out again."""
     index = surface[REFRACTION]
+    longest = 3 * (form[9] - form[6] + form[10] - form[7] + form[11] - form[8])
     alpha = surface[ROUGHNESS] * surface[ROUGHNESS]
     entering = True
     facet, back = np.empty(3), np.empty(3)
@@ -303,7 +304,7 @@ def _through_glass(field, form, point, normal, direction, surface, through, stat
             entering = False
         for axis in range(3):
             point[axis] -= 2 * OFF * normal[axis]
-        t = leave(field, form, point, direction, FAR)
+        t = leave(field, form, point, direction, longest)
         for axis in range(3):
             point[axis] += t * direction[axis]
         for c in range(3):

@@ -201,6 +201,8 @@ def meet(field, skip, form, origin, direction):
             continue
         near, far = (low - origin[axis]) / direction[axis], (high - origin[axis]) / direction[axis]
         start, stop = max(start, min(near, far)), min(stop, max(near, far))
+    if not stop < FAR:  # no direction
+        return FAR
     t = start + 1e-4
     before, outer = start, -1.0
     while t < stop:
