@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -52,6 +54,13 @@ def curve_rows(certificate: Certificate) -> list[Sequence[Any]]:
         for name, values in own.items():
             rows += [(name, who, place, float(value)) for place, value in enumerate(values)]
     return rows
+
+
+def csv_text(rows: Sequence[Sequence[Any]]) -> str:
+    """Return rows as the text of a CSV file."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
 
 
 def figure_unit(name: str, certificate: Certificate) -> str:
