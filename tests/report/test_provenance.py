@@ -22,9 +22,8 @@ def certificate():
 def test_the_face_names_exemplar_hash_date_version_method_and_settings(certificate):
     first, second, third = face(certificate, date="2031-05-06")
     digest = certificate.about["exemplar"]["recipe"][-1]["sha256"]
-    assert (
-        first == f"Exemplar: sample:bone, 64 x 64 x 64 voxels of 40 um (SHA-256 {digest[:12]}...)."
-    )
+    size = "64 x 64 x 64 voxels of 40 um, phases void, solid"
+    assert first == f"Exemplar: sample:bone, {size} (SHA-256 {digest[:12]}...)."
     assert "made by the method noise of trabecula" in second and "with seed 11" in second
     # what is as usual is not said
     assert second.endswith("and the settings octaves 2, reach 6.")
