@@ -10,7 +10,7 @@ endif
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --durations 20
 
-.PHONY: demo test test-all test-extras test-soak coverage test-learn test-types test-cluster test-remote test-peers test-napari test-solvers test-printers test-newest test-matrix mutants fuzz check docs gallery bench wheel sbom clean
+.PHONY: demo test test-all test-extras test-soak coverage test-learn test-types test-cluster test-remote test-peers test-napari test-solvers test-printers test-newest test-matrix mutants fuzz check docs gallery bench figures wheel sbom clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -89,6 +89,9 @@ gallery: $(VENV)/docs.stamp         ## only its pictures: docs/gallery
 
 bench: $(VENV)/dev.stamp            ## the tables; minutes
 	$(BIN)/python benchmarks/run.py
+
+figures: $(VENV)/dev.stamp          ## measures again what README and docs quote, and fails where a figure moved; minutes
+	$(BIN)/python benchmarks/quoted.py
 
 wheel: $(VENV)/dev.stamp            ## dist/*.whl
 	$(BIN)/python -m pip wheel --no-deps --wheel-dir dist .

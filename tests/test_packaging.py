@@ -99,7 +99,7 @@ def test_workflows_try_the_pythons_that_are_named_on_every_system():
 
 
 def test_workflows_name_targets_and_files_that_exist():
-    assert [one.stem for one in WORKFLOWS] == ["docs", "release", "test"]
+    assert [one.stem for one in WORKFLOWS] == ["docs", "figures", "release", "test"]
     targets = set(re.findall(r"(?m)^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8")))
     for place in WORKFLOWS:
         jobs = yaml.safe_load(place.read_text(encoding="utf-8"))["jobs"]
