@@ -25,7 +25,7 @@ NOISE = 'method = "noise"\nshape = 16\nseed = 3\nout = "a.npy"\n'
 
 
 def test_a_file_stands_for_the_options(here):
-    file = write(here / "c.toml", NOISE + "[generate.set]\ninvert = true\n")
+    file = write(here / "c.toml", NOISE + "[generate.set]\nporosity = 0.7\n")
     by_file = trabecula("generate", "--config", file)
     words = (
         "--method",
@@ -35,7 +35,7 @@ def test_a_file_stands_for_the_options(here):
         "--seed",
         3,
         "--set",
-        "invert=true",
+        "porosity=0.7",
         "--out",
         "b.npy",
     )
