@@ -10,7 +10,7 @@ endif
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --durations 20
 
-.PHONY: demo test test-all test-extras test-soak coverage test-learn test-types test-cluster test-remote test-peers test-napari test-solvers test-printers test-newest test-matrix mutants fuzz check docs gallery bench wheel clean
+.PHONY: demo test test-all test-extras test-soak coverage test-learn test-types test-cluster test-remote test-peers test-napari test-solvers test-printers test-newest test-matrix mutants fuzz check docs gallery bench figures wheel sbom clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -75,8 +75,8 @@ mutants: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## faults put into a copy of th
 	$(BIN)/python tests/mutants/mutate.py
 
 check: $(VENV)/dev.stamp            ## ruff, mypy, import rules of rooms and files
-	$(BIN)/ruff check src tests benchmarks docs
-	$(BIN)/ruff format --check src tests benchmarks docs
+	$(BIN)/ruff check src tests benchmarks docs release
+	$(BIN)/ruff format --check src tests benchmarks docs release
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m pytest tests/language/test_layers.py
@@ -90,8 +90,19 @@ gallery: $(VENV)/docs.stamp         ## only its pictures: docs/gallery
 bench: $(VENV)/dev.stamp            ## the tables; minutes
 	$(BIN)/python benchmarks/run.py
 
+figures: $(VENV)/dev.stamp          ## measures again what README and docs quote, and fails where a figure moved; minutes
+	$(BIN)/python benchmarks/quoted.py
+
 wheel: $(VENV)/dev.stamp            ## dist/*.whl
 	$(BIN)/python -m pip wheel --no-deps --wheel-dir dist .
+
+sbom: $(VENV)/release.stamp wheel   ## what the base install brings: build/release/sbom.json (CycloneDX) and licences.md
+	rm -rf build/base && $(PYTHON) -m venv --without-pip build/base
+	$(BIN)/python -m pip --python build/base install --quiet "$$(ls -t dist/*.whl | head -1)"
+	mkdir -p build/release
+	$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --mc-type library --output-reproducible --output-file build/release/sbom.json build/base
+	$(BIN)/pip-licenses --python $(subst $(VENV),build/base,$(BIN))/python --from mixed --format markdown --output-file build/release/licences.md
+	@cat build/release/licences.md
 
 $(VENV)/base.stamp: requirements/base.txt pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -129,6 +140,10 @@ $(VENV)/napari.stamp: $(VENV)/base.stamp requirements/napari.txt
 
 $(VENV)/docs.stamp: $(VENV)/base.stamp requirements/docs.txt
 	$(BIN)/python -m pip install --quiet --requirement requirements/docs.txt
+	touch $@
+
+$(VENV)/release.stamp: $(VENV)/base.stamp requirements/release.txt
+	$(BIN)/python -m pip install --quiet --requirement requirements/release.txt
 	touch $@
 
 clean:

@@ -3,46 +3,73 @@ this.
 
 1. Pages that follow from the code: methods, settings, formats, command line, measures, API
 (steps/pages.py).
-2. Every example of every page and of the README, in a folder of its own (steps/examples.py).
+2. Every example of every page and of the README, in a folder of its own (steps/examples.py); those
+that passed and have not changed since are left out (steps/cache.py), unless `--fresh` is given. A
+page whose example fails says so, the rest is built, and the exit status is 1.
 3. The pictures of the gallery (steps/pictures.py).
 4. sphinx-build with warnings as errors, into docs/_build/html.
 
 With names of pages as arguments (`docs/build.py howto/formats.md`) only those pages' examples are
-run and nothing is built; with `gallery` only the pictures are drawn.
+run and nothing is built; with `gallery` only the pictures are drawn, with `strip`
+that of the README.
 """
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-from steps import examples, pages, pictures
+from steps import examples, pages, pictures, strip
+from steps.cache import ExampleCache
 
 DOCS = Path(__file__).resolve().parent
 README = DOCS.parent / "README.md"
 NOT_PAGES = ("_build", "steps")
+FAILED = DOCS / "_build" / "failed.json"
+ROOT = DOCS.parent
+SOURCES = (ROOT / "src" / "trabecula", DOCS / "examples", DOCS / "steps")
 EXAMPLES = DOCS / "examples"
 """Modules that pages show and import; tests/contract holds them to the contract."""
 
 
 def main(names: list[str]) -> int:
     """Run the steps, each with its time, and return the exit status."""
+    fresh = "--fresh" in names
+    names = [name for name in names if name != "--fresh"]
     if names == ["gallery"]:
         run_timed("pictures", lambda: pictures.draw(DOCS / "gallery"))
+        return 0
+    if names == ["strip"]:
+        run_timed("strip", lambda: strip.draw(DOCS / "images" / "strip.png"))
         return 0
     run_timed("pages", lambda: pages.write(DOCS))
     sys.path.append(str(EXAMPLES))
     chosen = [(DOCS / name).resolve() for name in names] or [README, *list_pages()]
-    failures = run_timed("examples", lambda: examples.run(chosen, home=DOCS.parent))
-    for failure in failures:
+    cache = ExampleCache(ROOT / "build" / "docs-cache", SOURCES)
+    if fresh:
+        cache.clear()
+    kept = None if names else cache  # a page that is asked for by name is run
+    failures = run_timed("examples", lambda: examples.run(chosen, home=ROOT, cache=kept))
+    for failure in failures.values():
         print(failure, file=sys.stderr)
-    if failures or names:
+    if names:
         return 1 if failures else 0
-    run_timed("pictures", lambda: pictures.draw(DOCS / "gallery"))
-    return run_timed("sphinx", sphinx)
+    write_failures(failures, FAILED)
+    key = cache.key("gallery", [])
+    if not (cache.has(key) and (DOCS / "gallery" / "index.md").exists()):
+        run_timed("pictures", lambda: pictures.draw(DOCS / "gallery"))
+        cache.add(key, "gallery")
+    return run_timed("sphinx", sphinx) or (1 if failures else 0)
+
+
+def write_failures(failures: dict[str, str], path: Path) -> None:
+    """Write what failed for `conf.py`, which shows it on top of its page."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(failures), encoding="utf-8")
 
 
 def list_pages() -> list[Path]:
@@ -55,7 +82,8 @@ def list_pages() -> list[Path]:
 def sphinx() -> int:
     """Build the site from nothing, so that no page of an earlier build is left."""
     out = DOCS / "_build" / "html"
-    shutil.rmtree(out.parent, ignore_errors=True)
+    shutil.rmtree(out, ignore_errors=True)
+    shutil.rmtree(out.parent / "doctrees", ignore_errors=True)
     command = [
         sys.executable,
         "-m",

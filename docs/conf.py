@@ -1,5 +1,8 @@
 """Settings of Sphinx. `docs/build.py` writes the generated pages first and then calls it."""
 
+import json
+from pathlib import Path
+
 import trabecula
 
 project = "trabecula"
@@ -29,3 +32,21 @@ napoleon_use_ivar = True
 # A word of a shape, such as (ndim, 3), may be an attribute of several classes: it is meant as a
 # word.
 suppress_warnings = ["ref.python"]
+
+
+_FAILED = Path(__file__).parent / "_build" / "failed.json"
+
+
+def show_failure(app, docname, source):
+    """Say on top of a page which of its examples failed."""
+    failed = json.loads(_FAILED.read_text(encoding="utf-8")) if _FAILED.exists() else {}
+    why = failed.get(f"docs/{docname}.md")
+    if why is not None:
+        shown = "\n".join(line.rstrip() for line in why.splitlines())
+        title = "An example of this page failed when the site was built"
+        source[0] = f"~~~~{{error}} {title}\n\n```text\n{shown}\n```\n~~~~\n\n{source[0]}"
+
+
+def setup(app):
+    """Register what is done with every page as it is read."""
+    app.connect("source-read", show_failure)

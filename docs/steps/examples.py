@@ -31,6 +31,8 @@ from types import ModuleType
 
 import numpy as np
 
+from steps.cache import ExampleCache
+
 _SAME = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 # Depends on what was run before on this machine.
 _BY_THE_WAY = re.compile(
@@ -61,20 +63,32 @@ class WrongExampleError(Exception):
         self.line = line
 
 
-def run(paths: list[Path], *, home: Path) -> list[str]:
-    """Run the examples of these pages; what failed, as `page:line: why`."""
-    failures = []
+def run(paths: list[Path], *, home: Path, cache: ExampleCache | None = None) -> dict[str, str]:
+    """Run the examples of these pages, but for those that a cache knows to pass; return the pages
+    that failed, each with `page:line: why`.
+    """
+    failures, known = {}, 0
     with tempfile.TemporaryDirectory() as stock:
         stand_ins(Path(stock))
         for path in paths:
             start = time.monotonic()
             blocks = list(runnable(path.read_text(encoding="utf-8")))
-            failure = _run_page(path.relative_to(home), blocks, Path(stock)) if blocks else None
-            if blocks:
-                seconds = time.monotonic() - start
-                name = path.relative_to(home)
-                print(f"docs:   {name}: {len(blocks)} examples, {seconds:.1f} s", flush=True)
-            failures += [failure] if failure else []
+            if not blocks:
+                continue
+            name = path.relative_to(home)
+            key = None if cache is None else cache.key(name.as_posix(), blocks)
+            if key is not None and cache.has(key):
+                known += 1
+                continue
+            failure = _run_page(name, blocks, Path(stock))
+            seconds = time.monotonic() - start
+            print(f"docs:   {name}: {len(blocks)} examples, {seconds:.1f} s", flush=True)
+            if failure:
+                failures[name.as_posix()] = failure
+            elif key is not None:
+                cache.add(key, name.as_posix())
+    if known:
+        print(f"docs:   {known} pages passed before, and nothing of them has changed", flush=True)
     return failures
 
 

@@ -24,6 +24,7 @@ _NAMES = {
     "labels": "trabecula.core.image",
     "Request": "trabecula.core.request",
     "Recipe": "trabecula.core.recipe",
+    "progress": "trabecula.core.progress",
     "threads": "trabecula.engine.parallel",
     "kept_at": "trabecula.engine.checkpoint",
     "read": "trabecula.io.files",

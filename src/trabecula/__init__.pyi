@@ -6,6 +6,7 @@ from trabecula import finish as finish
 from trabecula import measure as measure
 from trabecula.core.image import Image as Image
 from trabecula.core.image import labels as labels
+from trabecula.core.progress import progress as progress
 from trabecula.core.recipe import Recipe as Recipe
 from trabecula.core.request import Request as Request
 from trabecula.engine.checkpoint import kept_at as kept_at
@@ -71,6 +72,7 @@ __all__ = [
     "open_slabs",
     "plan_layers",
     "print_check",
+    "progress",
     "read",
     "read_mesh",
     "render",

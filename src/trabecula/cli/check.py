@@ -6,6 +6,7 @@ import argparse
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+from trabecula.cli.csv_tables import add_csv, check_csv, write_figures
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--phase", help="phase that is printed (default: every phase but void)")
     parser.add_argument("--json", action="store_true", help="print as JSON")
+    add_csv(parser)
     shared.add_memory(parser)
     shared.add_lengths(parser, spacing=False)
     shared.add_reading(parser)
@@ -36,6 +38,7 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.io.units import to_metres
     from trabecula.mesh.sizes import notify_size
 
+    check_csv(options.csv)
     limits = shared.settings(options.set)
     image = with_lengths(
         shared.load_exemplar(options.file, options), scale=shared.scale_factor(options)
@@ -47,6 +50,7 @@ def run(options: argparse.Namespace) -> int:
         [side / (1000 * to_metres(image.unit)) for side in found.findings[0].figures["extent"]],
         image.unit,
     )
+    write_figures(options.csv, found.to_json())
     if options.json:
         terminal.show_json(found.to_json())
     else:

@@ -8,6 +8,7 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+from trabecula.cli.csv_tables import add_csv, check_csv, write_figures
 
 _BYTES = 16  # a voxel: greys as float32, components, and what is made of them
 
@@ -16,6 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the scan and the options for reading it."""
     parser.add_argument("scan", metavar="SCAN", help="volume or picture, or sample:NAME")
     parser.add_argument("--json", action="store_true", help="print as JSON")
+    add_csv(parser)
     shared.add_memory(parser, "of a .zarr of labels that needs more the centre box is inspected")
     shared.add_reading(parser)
 
@@ -24,7 +26,9 @@ def run(options: argparse.Namespace) -> int:
     """Print what is found."""
     from trabecula.report.inspection import inspect
 
+    check_csv(options.csv)
     found = inspect(_load(options))
+    write_figures(options.csv, found.to_json())
     if options.json:
         terminal.show_json(found.to_json())
     else:

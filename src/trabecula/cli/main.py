@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from trabecula.cli import terminal
+from trabecula.cli.config import apply_config, config_path
 from trabecula.cli.examples import ExamplesFormatter, epilog
 from trabecula.core.errors import FileError, TrabeculaError, UnnamedVoidError
 
@@ -99,17 +100,31 @@ def _run(words: list[str]) -> int:
         return 2
     # Only the chosen verb is imported: help for all costs no more than their names.
     parser, chosen = _parser(words[0] if words and words[0] in VERBS else None)
+    config = config_path(words[1:]) if chosen is not None else None
+    if config is not None:
+        try:
+            apply_config(_verb_parser(parser, words[0]), words[0], words[1:], config, verbs=VERBS)
+        except TrabeculaError as error:
+            terminal.fail(str(error))
+            return 2
     options = parser.parse_args(words)
     if chosen is None:
         parser.print_help()
         return 0
     shown = {name: _taken(options, name) for name in ("quiet", "verbose", "log")}
+    _taken(options, "config")
     try:
         with terminal.messages_shown(**shown):
             return _attempt(chosen, options)
     except FileError as error:  # of the log: the verb's own are in `_attempt`
         terminal.fail(str(error))
         return 2
+
+
+def _verb_parser(parser: argparse.ArgumentParser, verb: str) -> argparse.ArgumentParser:
+    """Return the parser of one verb."""
+    verbs = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    return verbs.choices[verb]
 
 
 def _taken(options: argparse.Namespace, name: str) -> Any:
@@ -216,6 +231,12 @@ def _add_messages(parser: argparse.ArgumentParser, *, inner: bool = False) -> No
         metavar="FILE",
         default=default,
         help="append these lines, with the date, to FILE, also those that --quiet leaves out",
+    )
+    group.add_argument(
+        "--config",
+        metavar="FILE",
+        default=default,
+        help="take options from FILE, TOML or JSON, by their names; what is given here wins",
     )
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):

@@ -11,6 +11,7 @@ from typing import Any
 
 from trabecula.cli import implants, terminal, two_fluids
 from trabecula.cli import options as shared
+from trabecula.cli.csv_tables import add_csv, check_csv, unit_of, write_figures
 from trabecula.core.errors import InputError
 
 EACH = ("phases", "pairs", "triples")
@@ -22,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the file and the options for reading it."""
     parser.add_argument("file", metavar="FILE", help="volume or 2-D picture, or sample:NAME")
     parser.add_argument("--json", action="store_true", help="print as JSON, curves included")
+    add_csv(parser)
     shared.add_phase(parser)
     shared.add_memory(parser, "a .zarr of labels that needs more is measured in slabs")
     shared.add_level(parser)
@@ -53,6 +55,7 @@ def _add_confidence(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print every descriptor, or those of one phase or of each."""
+    check_csv(options.csv)
     if options.phase is not None and options.level == "full":
         raise InputError(
             "--full solves transport and stiffness of the whole material: leave out --full, or "
@@ -72,6 +75,7 @@ def run(options: argparse.Namespace) -> int:
     elif options.drainage is not None:
         show, measured = two_fluids.show, two_fluids.measure
     found = measured(options)
+    write_figures(options.csv, found)
     if options.json:
         terminal.show_json(found)
     else:
@@ -159,7 +163,9 @@ def _show(found: Mapping[str, Any]) -> None:
     phase.
     """
     apart = (*EACH, "confidence")
-    terminal.show_mapping({name: value for name, value in found.items() if name not in apart})
+    terminal.show_mapping(
+        {name: value for name, value in found.items() if name not in apart}, units=True
+    )
     if "confidence" in found:
         _show_intervals(found["confidence"], found["unit"])
     columns = found.get("phases")
@@ -175,12 +181,17 @@ def _show(found: Mapping[str, Any]) -> None:
             elif name not in CURVES:
                 for axis, part in value.items() if isinstance(value, Mapping) else (("", value),):
                     rows.setdefault(f"{name} {axis}".strip(), {})[phase] = part
+
+    def with_unit(name: str) -> str:
+        unit = unit_of(name.split()[0], found.get("unit"))
+        return f"{name} ({unit})" if unit else name
+
     print()
     terminal.show_rows(
         [
             ("each phase", *columns),
             *(
-                (name, *(terminal.brief(cells.get(phase)) for phase in columns))
+                (with_unit(name), *(terminal.brief(cells.get(phase)) for phase in columns))
                 for name, cells in rows.items()
             ),
         ]

@@ -7,6 +7,7 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+from trabecula.cli.csv_tables import add_csv, check_csv, write_figures
 from trabecula.cli.cutting import add_cutting, cutting_of, write_if_named
 
 
@@ -14,6 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the file and the options."""
     parser.add_argument("file", metavar="FILE", help="volume, or sample:NAME")
     parser.add_argument("--json", action="store_true", help="print as JSON")
+    add_csv(parser)
     parser.add_argument(
         "--out",
         metavar="FILE",
@@ -34,6 +36,7 @@ def run(options: argparse.Namespace) -> int:
     """Print the figures; write the network where a file is named."""
     from trabecula.measure import network
 
+    check_csv(options.csv)
     image = shared.load_exemplar(options.file, options)
     net = network(image, phase=options.phase, **cutting_of(options))
     found = {"shape": list(image.shape), "spacing": list(image.spacing), "unit": image.unit}
@@ -49,6 +52,7 @@ def run(options: argparse.Namespace) -> int:
                 for k, axis in enumerate("zyx")
             }
     found["out"] = write_if_named(net, options)
+    write_figures(options.csv, found)
     if options.json:
         terminal.show_json(found)
     else:

@@ -62,9 +62,19 @@ def show_rows(rows: Sequence[Sequence[Any]]) -> None:
         )
 
 
-def show_mapping(values: Mapping[str, Any]) -> None:
-    """Print a name and a value per line; nested tables one a line, curves by their length alone."""
-    show_rows([(name, brief(value)) for name, value in _flatten(values)])
+def show_mapping(values: Mapping[str, Any], *, units: bool = False) -> None:
+    """Print a name and a value per line; nested tables one a line, curves by their length alone.
+
+    With `units` values of descriptors have theirs, powers of the image's unit, behind them.
+    """
+    rows = [[name, brief(value)] for name, value in _flatten(values)]
+    if units:
+        from trabecula.cli.csv_tables import unit_of
+
+        for row in rows:
+            unit = unit_of(row[0], values.get("unit"))
+            row[1] += f" {unit}" if unit and "values" not in row[1] and row[1] != "-" else ""
+    show_rows(rows)
 
 
 def _flatten(values: Mapping[str, Any], *, inside: str = "") -> Iterator[tuple[str, Any]]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.cli import terminal
+from trabecula.cli.csv_tables import add_csv, check_csv, write_csv, write_figures
 from trabecula.core.errors import InputError
 
 
@@ -22,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print as JSON (a list for several files)"
     )
+    add_csv(parser)
     parser.add_argument("--report", metavar="HTML", help="write one self-contained page")
     parser.add_argument(
         "--r-max",
@@ -70,7 +72,9 @@ def run(options: argparse.Namespace) -> int:
     """
     from trabecula.pipeline.certificate_page import check_page, write_page
     from trabecula.report.certificate import verify
+    from trabecula.report.tables import figure_rows
 
+    check_csv(options.csv)
     if options.report:
         check_page(options.report)
     if options.ensemble:
@@ -92,6 +96,8 @@ def run(options: argparse.Namespace) -> int:
     wanted["memory"] = options.memory
     found = verify(exemplars if len(exemplars) > 1 else exemplars[0], *images, **wanted)
     certificates = found if isinstance(found, list) else [found]
+    if options.csv:
+        write_csv(options.csv, figure_rows(certificates))
     if options.report:
         write_page(options.report, exemplars, images, certificates)
     if options.json:
@@ -126,6 +132,7 @@ def _judge_ensemble(options: argparse.Namespace) -> int:
         level=options.level,
         box=options.box,
     )
+    write_figures(options.csv, certificate.to_json())
     if options.report:
         write_ensemble_page(options.report, exemplars, members, certificate)
     if options.json:

@@ -6,6 +6,8 @@ both cost nothing, so library code stays quiet and the command line shows a bar.
 
 from __future__ import annotations
 
+import math
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -81,6 +83,79 @@ def listen(listener: Listener) -> Iterator[None]:
         yield
     finally:
         _listener.reset(token)
+
+
+@contextmanager
+def progress(listener: Listener | None = None) -> Iterator[None]:
+    """Show the progress of everything inside the block.
+
+    Parameters
+    ----------
+    listener : callable, optional
+        Called as `listener(label, fraction)`: the stage's name, and the fraction of it that is
+        done, 0 to 1; 1 ends the stage, and a negative fraction means that the label is a line of
+        text. Without one a line on standard error is rewritten: stage, percent and time left, in a
+        notebook as on a terminal. An error of a listener ends the work: so a run is cancelled.
+
+    Raises
+    ------
+    InputError
+        What is given cannot be called.
+
+    Examples
+    --------
+    >>> import trabecula as tb
+    >>> seen = []
+    >>> with tb.progress(lambda label, fraction: seen.append(fraction)):
+    ...     made = tb.method("noise").fit().generate(8, seed=1)
+    """
+    if listener is not None and not callable(listener):
+        from trabecula.core.errors import InputError
+
+        raise InputError(
+            f"progress takes a function of a label and a fraction, not {listener!r}; leave it out "
+            "for a line on standard error"
+        )
+    line = ProgressLine()
+    try:
+        with listen(listener if listener is not None else line):
+            yield
+    finally:
+        line.end()
+
+
+class ProgressLine:
+    """A listener that rewrites one line on standard error: stage, percent, time left."""
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._clock = StageClock(now)
+        self._now = now
+        self._drawn = -math.inf
+        self._length = 0
+
+    def __call__(self, label: str, fraction: float) -> None:
+        """Show how far a stage is, ten times a second at most; a line of text stays."""
+        if fraction < 0:
+            self._write(label)
+            self.end(keep=True)
+            return
+        left = self._clock.update(label, fraction).left
+        if fraction < 1 and self._now() - self._drawn < 0.1:
+            return
+        self._drawn = self._now()
+        self._write(f"{label} {fraction:4.0%}" + ("" if not left else f", {left:.0f} s left"))
+
+    def _write(self, text: str) -> None:
+        sys.stderr.write("\r" + text.ljust(self._length))
+        sys.stderr.flush()
+        self._length = len(text)
+
+    def end(self, *, keep: bool = False) -> None:
+        """Clear the line, or `keep` it and begin another."""
+        if self._length:
+            sys.stderr.write("\n" if keep else "\r" + " " * self._length + "\r")
+            sys.stderr.flush()
+            self._length = 0
 
 
 def track(items: Iterable[T], label: str, *, total: int | None = None) -> Iterator[T]:

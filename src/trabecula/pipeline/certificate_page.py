@@ -57,7 +57,7 @@ def write_page(
     title = "Slices through the middle" if images[0].ndim == 3 else "Images"
     pictures = [(title, _png(montage(shown, names)))]
     pictures += [
-        (name, _png(render(image, size=(640, 480))))
+        (name, _png(render(image, size=(1200, 900))))
         for name, image in zip(names, shown, strict=True)
         if image.ndim == 3 and image.kind == "labels"
     ]

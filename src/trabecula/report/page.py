@@ -19,6 +19,7 @@ from trabecula.measure.correlation import covariance_form
 from trabecula.measure.registry import DESCRIPTORS, GROUPS, select
 from trabecula.report.metrics import find_descriptor, group_verdicts
 from trabecula.report.plot import curve_plot, density_map, hatching, key, place_plot
+from trabecula.report.provenance import face, methods_text, today
 from trabecula.report.summary_text import (
     IN_SPACE,
     VERDICTS,
@@ -28,6 +29,7 @@ from trabecula.report.summary_text import (
     number,
     sentences,
 )
+from trabecula.report.tables import csv_text, curve_rows, figure_rows
 
 if TYPE_CHECKING:
     from trabecula.report.verdict import Certificate
@@ -55,7 +57,11 @@ _CURVES = {
 
 
 def page(
-    certificates: Sequence[Certificate], *, pictures: Pictures = (), source_maps: Pictures = ()
+    certificates: Sequence[Certificate],
+    *,
+    pictures: Pictures = (),
+    source_maps: Pictures = (),
+    date: str | None = None,
 ) -> str:
     """Build one self-contained page for one or more certificates of the same exemplar.
 
@@ -65,6 +71,8 @@ def page(
     pictures : iterable of (caption, PNG file or its bytes), optional
     source_maps : iterable of (caption, PNG file or its bytes), optional
         Slices in the colours of their sources (see `source_map`).
+    date : str, optional
+        On its face; today's by default.
 
     Returns
     -------
@@ -79,7 +87,8 @@ def page(
     """
     if not certificates:
         raise InputError("a page needs at least one certificate")
-    body = [_front(certificates), _group_table(certificates), gallery(pictures)]
+    date = today() if date is None else date
+    body = [_front(certificates, date), _group_table(certificates), gallery(pictures)]
     body += [
         _maps(certificates),
         _source_maps(source_maps),
@@ -87,6 +96,7 @@ def page(
         _figure_table(certificates),
     ]
     body += [*map(_section, certificates), _reading(certificates)]
+    body += [_methods(certificates, date), _tables(certificates)]
     about = certificates[0].about.get("exemplar")
     if about:
         body.append(json_details("Exemplar: fields and recipe", about))
@@ -115,10 +125,30 @@ def write_page(html: str, path: str | Path) -> None:
         temporary.write_text(html, encoding="utf-8")
 
 
-def _front(certificates: Sequence[Certificate]) -> str:
-    lines = [*map(_box, certificates), _about("Exemplar", certificates[0].about.get("exemplar"))]
-    lines += [_about(one.name, one.about.get("image")) for one in certificates]
+def _front(certificates: Sequence[Certificate], date: str) -> str:
+    lines = [*map(_box, certificates)]
+    said = dict.fromkeys(text for one in certificates for text in face(one, date=date))
+    lines += [f'<p class="about">{escape(text)}</p>' for text in said]
     return "<h1>Is it the same material?</h1>" + "".join(lines)
+
+
+def _methods(certificates: Sequence[Certificate], date: str) -> str:
+    """Return the text for a paper's Methods section, to be copied."""
+    text = methods_text(certificates, date=date)
+    return f'<h2>For a Methods section</h2><pre class="text">{escape(text)}</pre>'
+
+
+def _tables(certificates: Sequence[Certificate]) -> str:
+    """Return the figures and curves as tables inside the page, to be saved."""
+    tables = {"figures.csv": figure_rows(certificates)}
+    for place, one in enumerate(certificates, start=1):
+        name = "curves.csv" if len(certificates) == 1 else f"curves-{place}.csv"
+        tables[name] = curve_rows(one)
+    links = []
+    for name, rows in tables.items():
+        data = base64.b64encode(csv_text(rows).encode()).decode()
+        links.append(f'<a download="{name}" href="data:text/csv;base64,{data}">{name}</a>')
+    return f'<p class="screen">As tables: {", ".join(links)}.</p>'
 
 
 def _box(certificate: Certificate) -> str:
@@ -159,15 +189,6 @@ def summary_html(certificate: Certificate) -> str:
         f"<b>{escape(headline(certificate))}</b><ul>{_items(certificate)}</ul></div>"
         f"<table>{rows}</table>"
     )
-
-
-def _about(name: str, about: Mapping[str, Any] | None) -> str:
-    if not about:
-        return ""
-    size, edge = (" x ".join(f"{n:g}" for n in about[field]) for field in ("shape", "spacing"))
-    what = f"phases {', '.join(about['phases'])}" if about["phases"] else about["kind"]
-    text = f"{name}: {size} voxels of {edge} {about['unit']}; {what}"
-    return f'<p class="about">{escape(text)}</p>'
 
 
 def _group_table(certificates: Sequence[Certificate]) -> str:

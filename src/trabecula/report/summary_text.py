@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from trabecula.measure.registry import AT_LEAST, AT_MOST, COUNT, DESCRIPTORS, DISTANCE, GROUPS
 from trabecula.report.metrics import VOLUME, Metric, find_descriptor, stem
+from trabecula.report.tables import figure_unit
 
 if TYPE_CHECKING:
     from trabecula.report.verdict import Certificate
@@ -113,7 +114,9 @@ def table(certificate: Certificate) -> str:
     ]
     rows: dict[str, list[list[str]]] = {}
     for name, metric in certificate.metrics.items():
-        cells = [name, number(metric.value), number(metric.exemplar), band(metric)]
+        unit = figure_unit(name, certificate)
+        named = f"{name} ({unit})" if unit else name
+        cells = [named, number(metric.value), number(metric.exemplar), band(metric)]
         if baseline:
             cells.append(number(baseline[name].value) if name in baseline else "")
         rows.setdefault(find_descriptor(name).group, []).append([*cells, VERDICTS[metric.passed]])

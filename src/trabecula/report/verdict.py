@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from trabecula.core.image import Image, describe_fields
 from trabecula.report.findings import Findings
 from trabecula.report.metrics import Metric, all_passed, group_verdicts
-from trabecula.report.page import Pictures, page, summary_html
+from trabecula.report.page import Pictures, page, summary_html, write_page
+from trabecula.report.provenance import methods_text, today
 from trabecula.report.summary_text import IN_SPACE, summary, table
+from trabecula.report.tables import csv_text, curve_rows, figure_rows
 
 
 @dataclass(frozen=True, repr=False)
@@ -106,6 +109,40 @@ class Certificate(Findings):
     def to_table(self) -> str:
         """Return a table for a terminal."""
         return table(self)
+
+    def to_csv(self, path: str | Path | None = None, *, curves: bool = False) -> str:
+        """Return the figures as a table, one a row with unit, band and verdict, and write it.
+
+        Parameters
+        ----------
+        path : path, optional
+            A file to write.
+        curves : bool
+            The curves of exemplar, image, parts and baseline in their place.
+
+        Returns
+        -------
+        text : str
+
+        Raises
+        ------
+        FileError
+            The file cannot be written.
+        """
+        text = csv_text(curve_rows(self) if curves else figure_rows([self]))
+        if path is not None:
+            write_page(text, path)
+        return text
+
+    def methods_text(self, *, date: str | None = None) -> str:
+        """Return a paragraph for a Methods section with the works that it cites.
+
+        Parameters
+        ----------
+        date : str, optional
+            Of the judgement; today's by default.
+        """
+        return methods_text([self], date=today() if date is None else date)
 
     def _page(self, pictures: Pictures) -> str:
         return page([self], pictures=pictures)

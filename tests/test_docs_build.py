@@ -1,0 +1,75 @@
+"""The build of the documentation: passed examples are left out, failed ones stop nothing."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+
+
+@pytest.fixture
+def steps(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
+    for name in [name for name in sys.modules if name.partition(".")[0] == "steps"]:
+        monkeypatch.delitem(sys.modules, name)
+    from steps import cache, examples
+
+    return cache, examples
+
+
+def page(folder, name, code, shown):
+    path = folder / name
+    path.write_text(f"# Page\n\n```python\n{code}\n```\n\n```text\n{shown}\n```\n")
+    return path
+
+
+@pytest.fixture
+def quick(steps, monkeypatch):
+    monkeypatch.setattr(steps[1], "stand_ins", lambda folder: None)
+    return steps
+
+
+def test_a_passed_page_is_run_again_only_after_a_change(quick, tmp_path):
+    cache, examples = quick
+    source, count = tmp_path / "code.py", tmp_path / "count"
+    source.write_text("1")
+    good = page(tmp_path, "good.md", f"open({str(count)!r}, 'a').write('x')\nprint(2)", "2")
+
+    def run():
+        kept = cache.ExampleCache(tmp_path / "kept", [source])
+        assert examples.run([good], home=tmp_path, cache=kept) == {}
+        return len(count.read_text())
+
+    assert [run(), run()] == [1, 1]
+    good.write_text("Other words.\n\n" + good.read_text())
+    assert run() == 2  # lines have moved: errors name them
+    source.write_text("2")
+    assert [run(), run()] == [3, 3]
+
+
+def test_a_failed_page_is_named_and_the_others_run(quick, tmp_path):
+    cache, examples = quick
+    kept = cache.ExampleCache(tmp_path / "kept", [])
+    bad = page(tmp_path, "bad.md", "print(1)", "2")
+    good = page(tmp_path, "good.md", "print(2)", "2")
+    for _ in range(2):  # what failed is not kept
+        failures = examples.run([bad, good], home=tmp_path, cache=kept)
+        assert list(failures) == ["bad.md"] and failures["bad.md"].startswith("bad.md:")
+    assert len(list((tmp_path / "kept").iterdir())) == 1
+
+
+def test_a_failure_is_shown_on_top_of_its_page(tmp_path):
+    spec = importlib.util.spec_from_file_location("docs_conf", DOCS / "conf.py")
+    conf = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(conf)
+    conf._FAILED = tmp_path / "failed.json"
+    conf._FAILED.write_text('{"docs/howto/big.md": "docs/howto/big.md:9: ValueError: no"}')
+    source = ["# Big"]
+    conf.show_failure(None, "howto/big", source)
+    assert source[0].startswith("~~~~{error}") and "ValueError: no" in source[0]
+    assert source[0].endswith("# Big")
+    other = ["# Other"]
+    conf.show_failure(None, "howto/other", other)
+    assert other == ["# Other"]
