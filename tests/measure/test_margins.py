@@ -220,3 +220,13 @@ def test_bone_scans_have_six_blank_planes(data, name):
 )
 def test_these_scans_have_none(data, file):
     assert not find_margins(tb.read(data / file))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("shape", [(40, 1, 30), (40, 30, 1), (40, 2)])
+def test_planes_of_one_voxel_have_quarters(shape):
+    from trabecula.measure.margins import _quarters
+
+    values = np.random.default_rng(4).integers(0, 2, shape).astype(np.uint8)
+    for label in (0, None):
+        assert np.isfinite(_quarters(values, 0, label)).all()
