@@ -10,7 +10,7 @@ endif
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --durations 20
 
-.PHONY: demo test test-all test-extras test-soak coverage test-learn test-types test-cluster test-remote test-peers test-napari test-solvers test-printers test-newest test-matrix mutants fuzz check docs gallery bench figures wheel sbom clean
+.PHONY: demo test test-all test-slow test-extras test-soak coverage test-learn test-types test-cluster test-remote test-peers test-napari test-solvers test-printers test-newest test-matrix mutants fuzz check docs gallery bench figures wheel sbom clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -18,9 +18,12 @@ demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look 
 test: $(VENV)/dev.stamp             ## the tests of minutes, by as many processes as there are cores
 	$(PYTEST) -m "not whole"
 
-test-all: $(VENV)/dev.stamp         ## every test of the base install, and those of each extra
-	$(PYTEST)
+test-all: $(VENV)/dev.stamp         ## every test of the base install but the slow ones, and those of each extra
+	$(PYTEST) -m "not slow"
 	$(MAKE) --no-print-directory --jobs 2 test-newest test-extras
+
+test-slow: $(VENV)/dev.stamp        ## tests that take many seconds beside others like them: weekly, and before a release
+	$(PYTEST) -m slow
 
 test-soak: $(VENV)/dev.stamp        ## ten runs of every test in random order beside full load; hours
 	$(BIN)/python tests/soak.py

@@ -38,13 +38,18 @@ SHARED = {
 Each method takes part in some of them, and each has a method of windows or of memory-mapped arrays.
 """
 
+SLOW = {"old processor": {"bubbles", "chen", "mrf", "quilt"}}
+"""Checks that compile all kernels of a method anew: others make them, these in `make test-slow`."""
+
 
 def _cases():
     cases = []
     for name in sorted(methods()):
         for check in METHOD_CHECKS:
             quick = name in CHEAP | SHARED.get(check, {name})
-            cases.append(pytest.param(name, check, marks=[] if quick else pytest.mark.whole))
+            marks = [] if quick else [pytest.mark.whole]
+            marks += [pytest.mark.slow] if name in SLOW.get(check, ()) else []
+            cases.append(pytest.param(name, check, marks=marks))
     return cases
 
 

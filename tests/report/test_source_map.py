@@ -51,6 +51,7 @@ def test_what_cannot_be_searched_has_no_map():
 
 
 @pytest.mark.whole
+@pytest.mark.slow
 def test_the_page_shows_it_beside_real_material(tmp_path):
     exemplar, image = bone(0, 0, 0), bone(48, 48, 48)
     for level, shown in (("default", True), ("quick", False)):

@@ -192,6 +192,7 @@ def test_a_step_with_long_waves_of_its_own_raises_them_less():
 
 
 @pytest.mark.whole
+@pytest.mark.slow
 def test_results_are_as_even_as_bone():
     """Over windows of 20 voxels; without long waves held seed 1 is at 2.2 times the exemplar's
     spread, seed 2 at 1.45.

@@ -171,7 +171,10 @@ def peaks_of(kind, masked, depths, folder):
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize(("kind", "masked"), [("labels", True), ("grey", False)])
+@pytest.mark.parametrize(
+    ("kind", "masked"),
+    [("labels", True), pytest.param("grey", False, marks=pytest.mark.slow)],
+)
 def test_spilled_no_array_of_the_volume_is_in_memory(kind, masked, tmp_path):
     """Trace NumPy's own arrays: four times as many planes take no more of them."""
     peaks, forecasts = call_alone(peaks_of, kind, masked, (22, 88), str(tmp_path))

@@ -358,12 +358,13 @@ _TABLE = (
     ),
     _shape(
         name="thickness", title="Thickness", measure=thickness, source=SIZES, level="default",
-        power=1, field=thickness_field, of="the solid", each=("phase",), key=True, in_volume=True,
+        power=1, streams=True, field=thickness_field, of="the solid", each=("phase",), key=True,
+        in_volume=True,
         meaning="Mean diameter of the largest spheres in the solid.",
     ),
     _shape(
         name="pore_size", title="Pore size", measure=pore_size, source=SIZES, level="default",
-        power=1, field=pore_size_field, key=True, in_volume=True,
+        power=1, streams=True, field=pore_size_field, key=True, in_volume=True,
         meaning="Mean diameter of the largest spheres in the void.",
     ),
     Descriptor(

@@ -7,6 +7,8 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from trabecula.report.metrics import find_descriptor
 
 if TYPE_CHECKING:
@@ -44,7 +46,8 @@ def figure_rows(certificates: Sequence[Certificate]) -> list[Sequence[Any]]:
 def curve_rows(certificate: Certificate) -> list[Sequence[Any]]:
     """List the curves of exemplar, image, its parts and the baseline as rows, the head first.
 
-    The position is the distance in voxels, or the number of a bin, from 0.
+    The position is the distance in voxels, or the number of a bin, from 0. Curves of several
+    channels are named NAME:CHANNEL.
     """
     rows: list[Sequence[Any]] = [CURVES]
     curves = certificate.curves
@@ -52,8 +55,16 @@ def curve_rows(certificate: Certificate) -> list[Sequence[Any]]:
     sets |= {f"part {n}": part for n, part in enumerate(curves.get("parts", ()), start=1)}
     for who, own in sets.items():
         for name, values in own.items():
-            rows += [(name, who, place, float(value)) for place, value in enumerate(values)]
+            for named, line in _lines(name, np.asarray(values)):
+                rows += [(named, who, place, float(value)) for place, value in enumerate(line)]
     return rows
+
+
+def _lines(name: str, values: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """Return the lines of a curve by name: one, or one for each channel."""
+    if values.ndim == 1:
+        return [(name, values)]
+    return [(f"{name}:{n}", line) for n, line in enumerate(values)]
 
 
 def csv_text(rows: Sequence[Sequence[Any]]) -> str:
