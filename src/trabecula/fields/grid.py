@@ -60,6 +60,15 @@ def part_region(mask: Image | ArrayLike | None, shape: tuple[int, ...]) -> np.nd
     return as_region(mask, shape, name="the mask")
 
 
+def as_marks(
+    marks: Mapping[str, ArrayLike] | None, shape: tuple[int, ...]
+) -> dict[str, np.ndarray]:
+    """Return the elements that painted meshes go through by name, bool of `shape`, checked."""
+    return {
+        name: as_region(one, shape, name=f"mark {name!r}") for name, one in (marks or {}).items()
+    }
+
+
 def middles(shape: Sequence[int], spacing: Sequence[float]) -> list[np.ndarray]:
     """Return the positions of the voxels' middles along every axis, from 0 at the first face.
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
 from trabecula.fields.topology.places import (
@@ -265,14 +267,21 @@ def _three(given: Sequence[float]) -> tuple[float, float, float]:
     return z, y, x
 
 
-def without_keep_outs(of: Case, part: PartNodes) -> PartNodes:
-    """Return a part without the elements that a case keeps out.
+def part_nodes(
+    of: Case,
+    inside: np.ndarray,
+    spacing: Sequence[float],
+    marks: Mapping[str, np.ndarray] | None = None,
+) -> PartNodes:
+    """Return the nodes of a part without the elements that a case keeps out; the shortest edge of
+    an element is the unit of length.
 
     Raises
     ------
     InputError
         Nothing is left.
     """
+    part = PartNodes(inside, marks, [edge / min(spacing) for edge in spacing])
     for region in of.keep_out:
         inside = part.inside & ~part.elements(region.box, region.place, region.depth)
         part = PartNodes(inside, part.marks, part.edges, part.form)

@@ -16,7 +16,7 @@ from trabecula.core.errors import InputError
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.fields.topology.cases import Case, Load
-from trabecula.fields.topology.places import PartNodes
+from trabecula.fields.topology.places import PartNodes, corner_nodes
 from trabecula.measure.mechanics.elements import CORNERS, brick_stiffness, isotropic
 
 _ROUND = 2.0**40
@@ -65,9 +65,13 @@ class ElementGrid:
 
     def loaded(self, case: Case, part: PartNodes) -> list[tuple[float, ElementGrid]]:
         """Return the weight of every load case, and the grid with its loads."""
+        first, *others = case.alone
         return [
-            (one.weight, replace(self, load=_forces(one.loads, part, self.free, case.name)))
-            for one in case.alone
+            (first.weight, self),
+            *(
+                (one.weight, replace(self, load=_forces(one.loads, part, self.free, case.name)))
+                for one in others
+            ),
         ]
 
     def product(self, density: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -85,7 +89,7 @@ class ElementGrid:
         own = np.diag(self.stiffness).reshape(8, 3)
         found = np.zeros_like(self.load)
         for corner, stiff in zip(CORNERS, own, strict=True):
-            found[_corner_nodes(corner, density.shape)] += density[..., None] * stiff
+            found[corner_nodes(corner, density.shape)] += density[..., None] * stiff
         return np.where(self.free, found, 1.0)
 
     def energy(self, u: np.ndarray) -> np.ndarray:
@@ -112,11 +116,6 @@ def _forces(loads: tuple[Load, ...], part: PartNodes, free: np.ndarray, name: st
             f"case {name!r} pushes nothing that can move: give a load away from the supports"
         )
     return force
-
-
-def _corner_nodes(corner: np.ndarray, shape: tuple[int, ...]) -> tuple[slice, ...]:
-    """Return the nodes at one corner of every element of a grid."""
-    return tuple(slice(c, c + side) for c, side in zip(corner, shape, strict=True))
 
 
 @inline

@@ -22,11 +22,10 @@ from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.core.recipe import digest
 from trabecula.engine.memory import Plan, check_budget
-from trabecula.fields.grid import as_field, as_region, part_region
-from trabecula.fields.topology.cases import Case, case, to_json, without_keep_outs
+from trabecula.fields.grid import as_field, as_marks, part_region
+from trabecula.fields.topology.cases import Case, case, part_nodes, to_json
 from trabecula.fields.topology.displacements import solve_displacements
 from trabecula.fields.topology.elements import ElementGrid
-from trabecula.fields.topology.places import PartNodes
 
 _MOVE = 0.2  # the most that a density changes in a round
 _BALANCE, _STEPS = 1e-4, 1000  # residual of the displacements, and their steps at most
@@ -128,9 +127,7 @@ def simp(
     settings = _check_settings(settings)
     edges = as_spacing(spacing, ndim=3)
     whole = part_region(mask, sides)
-    painted = {
-        name: as_region(one, sides, name=f"mark {name!r}") for name, one in (marks or {}).items()
-    }
+    painted = as_marks(marks, sides)
     density, compliance = _optimise(Design(chosen, whole, painted, edges, settings))
     field = np.where(density > 0, density, settings["low"])
     parameters = {"of": to_json(chosen), "shape": sides, **settings, "spacing": edges, "unit": unit}
@@ -179,12 +176,6 @@ class Design:
     edges: tuple[float, ...]
     settings: Mapping[str, Any]
 
-    @property
-    def nodes(self) -> PartNodes:
-        """Return the part without what is kept out."""
-        unit_edges = tuple(edge / min(self.edges) for edge in self.edges)
-        return without_keep_outs(self.case, PartNodes(self.part, self.marks, unit_edges))
-
     def halved(self) -> Design:
         """Return the design on elements of twice the edge, where any of eight is inside."""
         marks = {name: _halve(one) for name, one in self.marks.items()}
@@ -199,7 +190,8 @@ def _halve(inside: np.ndarray) -> np.ndarray:
 
 def _optimise(design: Design) -> tuple[np.ndarray, list[float]]:
     """Return the densities (0 outside the part), and the compliance of every round."""
-    settings, part = design.settings, design.nodes
+    settings = design.settings
+    part = part_nodes(design.case, design.part, design.edges, design.marks)
     inside, penalty = part.inside, settings["penalty"]
     solid = np.zeros(inside.shape, bool)
     for region in design.case.solid:

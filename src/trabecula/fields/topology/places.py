@@ -184,8 +184,9 @@ class PartNodes:
         if self._normals is None:
             padded = np.pad(self.form, 3).astype(np.float32)
             level = gaussian(padded, _SMOOTH)
+            between = tuple(side - 1 for side in level.shape)
             slopes = [
-                sum(sign * level[_shifted(corner, level.shape)] for corner, sign in _signs(axis))
+                sum(sign * level[corner_nodes(corner, between)] for corner, sign in _signs(axis))
                 / edge
                 for axis, edge in enumerate(self.edges)
             ]
@@ -222,21 +223,20 @@ def at_corners(elements: np.ndarray) -> np.ndarray:
     """Return the nodes at the corners of elements, (Z + 1, Y + 1, X + 1) bool."""
     found = np.zeros(tuple(side + 1 for side in elements.shape), bool)
     for corner in np.ndindex(2, 2, 2):
-        found[
-            tuple(slice(c, c + side) for c, side in zip(corner, elements.shape, strict=True))
-        ] |= elements
+        found[corner_nodes(corner, elements.shape)] |= elements
     return found
 
 
 def elements_at(nodes: np.ndarray) -> np.ndarray:
     """Return the elements that have a marked corner, (Z, Y, X) bool."""
-    return np.asarray(
-        np.logical_or.reduce([nodes[_shifted(c, nodes.shape)] for c in np.ndindex(2, 2, 2)])
-    )
+    shape = tuple(side - 1 for side in nodes.shape)
+    corners = [nodes[corner_nodes(corner, shape)] for corner in np.ndindex(2, 2, 2)]
+    return np.asarray(np.logical_or.reduce(corners))
 
 
-def _shifted(corner: tuple[int, ...], shape: tuple[int, ...]) -> tuple[slice, ...]:
-    return tuple(slice(c, side - 1 + c) for c, side in zip(corner, shape, strict=True))
+def corner_nodes(corner: Sequence[int] | np.ndarray, shape: tuple[int, ...]) -> tuple[slice, ...]:
+    """Return the nodes at one corner of every element of a grid of `shape`."""
+    return tuple(slice(c, c + side) for c, side in zip(corner, shape, strict=True))
 
 
 def _signs(axis: int) -> list[tuple[tuple[int, ...], int]]:

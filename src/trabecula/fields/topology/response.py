@@ -15,10 +15,10 @@ from trabecula.core.image import Image
 from trabecula.core.recipe import digest
 from trabecula.engine.memory import Plan, check_budget
 from trabecula.fields.grid import as_field, part_region
-from trabecula.fields.topology.cases import Case, case, to_json, without_keep_outs
+from trabecula.fields.topology.cases import Case, case, part_nodes, to_json
 from trabecula.fields.topology.elements import ElementGrid
 from trabecula.fields.topology.optimise import ELEMENT_BYTES
-from trabecula.fields.topology.places import PartNodes, at_corners
+from trabecula.fields.topology.places import PartNodes, at_corners, elements_at
 from trabecula.fields.topology.stress import stress_of
 from trabecula.measure.labelling import label_components
 from trabecula.measure.mechanics.elements import isotropic
@@ -87,8 +87,8 @@ def part_stress(
         advice="coarsen the part first",
     )
     form = part_region(mask, image.shape)
-    edges = tuple(edge / min(image.spacing) for edge in image.spacing)
-    filled = without_keep_outs(chosen, PartNodes(form, None, edges))
+    filled = part_nodes(chosen, form, image.spacing)
+    edges = filled.edges
     material = isotropic(1.0, ratio)
     whole = ElementGrid.of(chosen, filled, edges=edges, poisson=ratio)
     bulk = stress_of(
@@ -127,10 +127,7 @@ def _held(of: Case, part: PartNodes) -> np.ndarray:
     labels, _ = label_components(part.inside)
     touched = np.zeros(part.inside.shape, bool)
     for support in of.supports:
-        nodes = part.pick(support.box, support.place)
-        for corner in np.ndindex(2, 2, 2):
-            at = tuple(slice(c, c + s) for c, s in zip(corner, touched.shape, strict=True))
-            touched |= nodes[at]
+        touched |= elements_at(part.pick(support.box, support.place))
     numbers = np.unique(labels[touched & part.inside])
     held = np.isin(labels, numbers[numbers > 0])
     if not held.any():

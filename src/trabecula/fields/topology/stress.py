@@ -13,11 +13,10 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.fields.grid import as_region, part_region
-from trabecula.fields.topology.cases import Case, case, without_keep_outs
+from trabecula.fields.grid import as_marks, part_region
+from trabecula.fields.topology.cases import Case, case, part_nodes
 from trabecula.fields.topology.displacements import solve_displacements
 from trabecula.fields.topology.elements import ElementGrid
-from trabecula.fields.topology.places import PartNodes
 from trabecula.measure.mechanics.elements import CORNERS, isotropic, mean_strain
 
 _BALANCE, _STEPS = 1e-4, 1000  # residual of the displacements, and their steps at most
@@ -54,7 +53,8 @@ def principal_stress(
     Parameters
     ----------
     density : Image or array, (Z, Y, X)
-        As `simp` returns it, with the spacing of the elements: 0.001 .. 1.
+        As `simp` returns it, with the spacing of the elements: 0 .. 1, less than 0.001 counts as
+        that.
     of, mask, marks, penalty, poisson
         As of `simp`.
 
@@ -91,14 +91,10 @@ def principal_stress(
         )
     sides = values.shape
     inside = part_region(mask, sides)
-    painted = {
-        name: as_region(one, sides, name=f"mark {name!r}") for name, one in (marks or {}).items()
-    }
-    edges = tuple(edge / min(image.spacing) for edge in image.spacing)
-    part = without_keep_outs(chosen, PartNodes(inside, painted, edges))
-    grid = ElementGrid.of(chosen, part, edges=edges, poisson=ratio)
+    part = part_nodes(chosen, inside, image.spacing, as_marks(marks, sides))
+    grid = ElementGrid.of(chosen, part, edges=part.edges, poisson=ratio)
     stiff = np.where(part.inside, np.maximum(values, 1e-3) ** exponent, 0.0)
-    return stress_of(grid, grid.loaded(chosen, part), stiff, isotropic(1.0, ratio), edges)
+    return stress_of(grid, grid.loaded(chosen, part), stiff, isotropic(1.0, ratio), part.edges)
 
 
 def stress_of(
