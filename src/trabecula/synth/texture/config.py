@@ -45,9 +45,10 @@ class TextureConfig:
     it."""
 
     schedule: str = "short"
-    """What new material spends. "short": steps on the two-point function in one direction, on the
-    torus. "long": in as many directions as bands of distances, as recipes and models have it that
-    do not name it."""
+    """What new material with the layout "structure" spends. "short": each step on the two-point
+    function goes in one direction, on the torus, and there are fewer sliced rounds, sweeps and
+    tries. "long": in as many directions as there are bands of distances, as recipes and models have
+    it that do not name it."""
 
     first_rounds: int = 20
     """Rounds of search and vote on the coarsest level, which starts from random patches, 1 .. 100
@@ -178,6 +179,11 @@ class TextureConfig:
                 "the others out"
             )
         return (_NOVELTY if applies else 0.0) if self.novelty is None else self.novelty
+
+    @property
+    def short(self) -> bool:
+        """Return whether new material spends little."""
+        return self.schedule == "short" and self.layout == "structure"
 
     @property
     def energetic(self) -> bool:

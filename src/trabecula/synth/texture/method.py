@@ -327,7 +327,7 @@ class TextureModel(Model):
             self.top,
             self.config.layout,
             beside=request.fixed is not None,
-            short=self.config.schedule == "short",
+            short=self.config.short,
         )
         aims, slices = self.aims, self.slices
         if request.target:

@@ -71,7 +71,7 @@ _AROUND = (True, True, True)
 _SLICED_WIDTHS = (6, 4)  # of the neighbourhoods of sliced rounds: the first for which there is room
 _ROOM = 4
 _STRENGTH, _SLICED_STEP = 2.5, 2
-_SLICED_ROUNDS, _STEP_EVERY = {"short": 20, "long": 30}, 5
+_SLICED_ROUNDS, _SHORT_ROUNDS, _STEP_EVERY = 30, 20, 5
 _MOVED = 16  # rounds on the coarsest level at hardly any novelty
 _WIDE_FROM = 5  # so many of them let finer levels have wide neighbourhoods
 _WIDEST = 8  # voxels of the widest neighbourhood
@@ -151,7 +151,11 @@ def passes(
     )
     every = (*coarser, *finest)
     if short:
-        every = tuple(replace(p, first=2.0, later=0.5, tries=0.5) for p in every)
+        # steps in one direction leave more handles, which less interface takes away
+        every = tuple(
+            replace(p, first=2.0, later=0.5, tries=0.5, roughest=rough)
+            for p, rough in zip(every, (*[0.95] * len(coarser), 1.0, 0.97), strict=True)
+        )
     if beside:
         return tuple(replace(p, steps=0, beyond=0.0) for p in every)
     return every
@@ -359,7 +363,7 @@ class NovelRounds(CoarseToFine[Any]):
         unused = [iter(aim.candidates) for aim in aims]
         self.candidates = [next(unused[part.level]) for part in schedule]
         self.debt: np.ndarray | None = None
-        self.short = config.schedule == "short"
+        self.short = config.short
 
     @property
     def names(self) -> list[str]:
@@ -396,7 +400,7 @@ class NovelRounds(CoarseToFine[Any]):
         aims, region = self.aims[self.top], self.regions[self.top]
         if self.request.fixed is not None:
             aims = with_histograms(aims, targets_of(region, aims.histograms, width=WIDTH))
-        moving, rounds = region.unsettled(), _SLICED_ROUNDS[self.config.schedule]
+        moving, rounds = region.unsettled(), _SHORT_ROUNDS if self.short else _SLICED_ROUNDS
         return NovelLayoutStage(name, "laying out", rounds, aims, region, moving)
 
     def memory(self, stage: NovelLayoutStage | PassStage) -> Iterable[Stage]:

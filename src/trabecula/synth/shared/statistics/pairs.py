@@ -28,7 +28,7 @@ Planes = Callable[[int], np.ndarray]
 
 # values that are worth a thread: transforms of less wait for the interpreter longer than they take
 _WORTH = 1 << 19
-_AT_ONCE = 1 << 14  # complex values that are transformed in one call, unless a plane has more
+_AT_ONCE = 1 << 13  # complex values that are transformed in one call, unless a plane has more
 
 _CONE = np.cos(np.pi / 8) ** 2
 
@@ -155,7 +155,8 @@ class Pairs:
     def slab_bytes(self) -> int:
         """Return the bytes of planes and rows that are never memory-mapped."""
         depth, height, width = self.sides
-        return (1 << 16) + thread_count() * 64 * max(depth, height) * (width // 2 + 1)
+        together = max(_AT_ONCE, max(depth, height) * (width // 2 + 1))
+        return (1 << 16) + thread_count() * 64 * together
 
     def forward(self, values: np.ndarray | Planes) -> np.ndarray:
         """Transform (Z, Y, X) float32, given whole or as a function of z that makes each plane;
