@@ -34,7 +34,7 @@ from trabecula.synth.shared.statistics.two_point_steps import (
 )
 
 _RISE = 1.5  # exponent of the distance in the push
-_FROM = 2  # voxels: a push at one voxel alone draws fringes on interfaces
+GROUPS = (1, 2, 5)
 
 
 @dataclass(frozen=True)
@@ -162,16 +162,28 @@ def _step(
     """Take the excess away by a move of the soft indicator, into votes (Z, Y, X) int16."""
     _, moving = soft.mean_and_moving()
     r, weights = weigh_distances(pairs, target)
-    push = np.where(r >= _FROM, r**_RISE, 0.0) * weights * excess / np.maximum(pairs.fits, 1)
-    if not moving or not push.any():
+    push = excess * weights * r**_RISE
+    groups = [
+        push * ((r >= a) & (r < b)) for a, b in zip(GROUPS, (*GROUPS[1:], len(r)), strict=True)
+    ]
+    pushes = [group / np.abs(group).max() for group in groups if group.any()]
+    if not moving or not pushes:
         return
-    work.enter("make a direction")
-    push, shortest = push / np.abs(push).max(), longest_wave(target)
-    slope = pairs.slope(work["spectrum"], push, shorter_than=shortest)
-    direction = Direction.of(slope, soft, moving)
-    work.enter("compare it")
-    work.adopt("change", pairs.forward(direction.plane))
-    change = 2 * pairs.curve(work["spectrum"], work["change"])
+
+    def turn(push: np.ndarray) -> tuple[Direction, np.ndarray]:
+        """Return the direction of a push, and how the curve changes along it."""
+        work.enter("make a direction")
+        each, shortest = push / np.maximum(pairs.fits, 1), longest_wave(target)
+        slope = pairs.slope(work["spectrum"], each, shorter_than=shortest)
+        direction = Direction.of(slope, soft, moving)
+        work.enter("compare it")
+        work.adopt("change", pairs.forward(direction.plane))
+        return direction, 2 * pairs.curve(work["spectrum"], work["change"])
+
+    if len(pushes) > 1:
+        changes = np.array([turn(push)[1] for push in pushes])
+        push = np.sum(least_squares(changes, excess, weights)[:, None] * pushes, axis=0)
+    direction, change = turn(push)
     work.enter("take it")
     square = pairs.curve(work["change"], work["change"])
     (gain,) = least_squares(change[None], excess, weights)
