@@ -44,6 +44,11 @@ class TextureConfig:
     "coarse": on the coarsest level, without these, as recipes and models have it that do not name
     it."""
 
+    scan_phases: str = "told"
+    """What new grey values and colours are painted on. "told": on two phases, or on three where the
+    scan's gradients tell so many, with levels that know thin bodies from thick ones. "two": on two,
+    split by Otsu's threshold, as recipes and models have it that do not name it."""
+
     first_rounds: int = 20
     """Rounds of search and vote on the coarsest level, which starts from random patches, 1 .. 100
     (section 5.1: up to 30).
@@ -182,7 +187,8 @@ class TextureConfig:
     @classmethod
     def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Complete the settings of a recipe or a model that is older than some of them."""
-        return {"layout": "coarse", "iso_value": "middle", "step_share": 0.5, **settings}
+        before = {"layout": "coarse", "scan_phases": "two", "iso_value": "middle"}
+        return {**before, "step_share": 0.5, **settings}
 
     @classmethod
     def alternatives(cls, effort: int) -> tuple[dict[str, Any], ...]:
@@ -212,6 +218,7 @@ _CHOICES: dict[str, tuple[Any, ...]] = {
     "iso_value": ("middle", "fraction"),
     "search": ("coherent", "exact"),
     "layout": ("structure", "coarse"),
+    "scan_phases": ("told", "two"),
     "orientations": ("none", "mirrors", "upright", "all"),
 }
 
