@@ -79,7 +79,7 @@ from trabecula.synth.texture.grey_levels import (
     learn_levels,
     trial_bytes,
 )
-from trabecula.synth.texture.scan_phases import find_phases
+from trabecula.synth.texture.scan_phases import ScanPhases, find_phases
 from trabecula.synth.texture.small_bodies import (
     body_stages,
     learn_small_bodies,
@@ -125,11 +125,18 @@ class Texture(Method):
         novelty = self.config.novelty_for(labels=labels)
         top = novel_layout.top_for(exemplars, self.config.layout) if novelty else 0
         if top and not labels:
-            trial = max(trial_bytes(shape, channels, 2) for shape in shapes)
-            fields = size * (_EACH + _CHANNEL * channels)
-            # the candidates of the structure are learnt before
-            return {"interpreter and kernels": _PROCESS, "fields": fields, "trial": trial}
-        if top:
+            fields = [content_of(exemplars, histogram=False).fields(one) for one in exemplars]
+            found = segment_scan(exemplars, fields, self.config.scan_phases)
+            if found is not None:
+                scan, structures = found
+                trial = max(trial_bytes(shape, channels, scan.count) for shape in shapes)
+                levels = {"fields": size * (_EACH + _CHANNEL * channels), "trial": trial}
+                # its candidates are learnt before, and kept
+                structure = dict(self.memory(structures))
+                structure["fields"] += size * 4 * channels
+                levels["interpreter and kernels"] = _PROCESS
+                return max(levels, structure, key=lambda held: sum(held.values()))
+        if top and labels:
             each = 8 + 9 * channels
             kinds = [
                 (part.width, part.level)
@@ -150,6 +157,28 @@ class Texture(Method):
             for width, level in kinds
         )
         return {"interpreter and kernels": _PROCESS, "fields": size * each, "basis": basis}
+
+
+def segment_scan(
+    exemplars: Sequence[Image], fields: Sequence[np.ndarray], way: str
+) -> tuple[ScanPhases, list[Image]] | None:
+    """Return the phases that grey values or colours tell (`find_phases`) with the exemplars as
+    labels; None where they tell none.
+    """
+    scan = find_phases(fields, isotropic_scale(exemplars[0].spacing), way=way)
+    if scan is None:
+        return None
+    labels = [
+        with_values(
+            exemplar,
+            scan.structure_of(field),
+            recipe=exemplar.recipe,
+            kind="labels",
+            phases=_NAMES[scan.count],
+        )
+        for exemplar, field in zip(exemplars, fields, strict=True)
+    ]
+    return scan, labels
 
 
 class TextureModel(Model):
@@ -240,16 +269,12 @@ class TextureModel(Model):
         they tell no phases.
         """
         edges, way = isotropic_scale(self.exemplars[0].spacing), self.config.scan_phases
-        scan = find_phases(fields, edges, way=way)
-        if scan is None:
+        found = segment_scan(self.exemplars, fields, way)
+        if found is None:
             notify(_NOT_TOLD)
             return None
-        names = _NAMES[scan.count]
-        structures = [scan.structure_of(field) for field in fields]
-        labels = [
-            with_values(exemplar, structure, recipe=exemplar.recipe, kind="labels", phases=names)
-            for exemplar, structure in zip(self.exemplars, structures, strict=True)
-        ]
+        scan, labels = found
+        structures = [image.values for image in labels]
         products = way == "told"
         targets = self._histograms_by_phase(structures, scan.count) if products else ()
 
@@ -305,7 +330,8 @@ class TextureModel(Model):
             structure, made = self.painted.structure.make(replace(request, mask=None))
             votes = self.painted.grey.paint(structure, request)
             values = self._values_on(votes, structure, request, self.painted.targets)
-            return values, {"way": _PAINTED, **made}
+            phases = self.painted.grey.scan.count
+            return values, {"way": _PAINTED, "phases": phases, **made}
         if new:
             votes = novel_layout.make_novel(
                 self._novel_rounds(request, self._regions_around(request))

@@ -32,6 +32,7 @@ _RARE = 0.005  # a phase of less is not learnt
 _LEVELS = 24  # of the profile of gradients, each of as many voxels
 _RISE = 1.2  # of a maximum over the minima beside it
 _MOST = 2  # thresholds
+_ALIKE = 0.9  # of a maximum
 _QUIET = 2.5  # standard deviations of the grain between two phases that it does not mix
 _LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
 
@@ -106,7 +107,9 @@ def find_phases(
     if not values.var(dtype=np.float64):
         return None
     squares = np.concatenate([_squared_gradient(part, edges).ravel() for part in smooth])
-    steepest = _steepest_levels(values, squares) if way == "told" else ()
+    steepest: tuple[float, ...] = ()
+    if way == "told":
+        steepest = _steepest_levels(values, squares, otsu(plain)[0])
     if len(steepest) > 1 and _are_common(values, steepest):
         grainy = way == "two" or _is_grainy(plain, values, squares, steepest)
         return ScanPhases(steepest, _SMOOTH if grainy else 0.0)
@@ -145,9 +148,11 @@ def _extreme(values: np.ndarray, of: np.ufunc) -> np.ndarray:
     return values
 
 
-def _steepest_levels(values: np.ndarray, squares: np.ndarray) -> tuple[float, ...]:
+def _steepest_levels(values: np.ndarray, squares: np.ndarray, cut: float) -> tuple[float, ...]:
     """Return the levels between phases: maxima of the mean squared gradient by level, each well
     above the minima beside it; the most prominent ones where there are too many.
+
+    Of a maximum nearly as steep at `cut`, that is taken: where the scan would be segmented.
     """
     order = np.argsort(values, kind="stable")
     groups = np.array_split(order, _LEVELS)
@@ -164,7 +169,12 @@ def _steepest_levels(values: np.ndarray, squares: np.ndarray) -> tuple[float, ..
         if min(rises) >= _RISE and len(peaks) <= _MOST:
             break
         peaks.pop(int(np.argmin(rises)))
-    return tuple(levels[peak] for peak in peaks)
+    place = min(int(np.searchsorted(levels, cut)), _LEVELS - 1)
+    nearest = min(peaks, key=lambda peak: abs(peak - place), default=-1)
+    return tuple(
+        cut if peak == nearest and profile[place] >= _ALIKE * profile[peak] else levels[peak]
+        for peak in peaks
+    )
 
 
 def _squared_gradient(values: np.ndarray, edges: Sequence[float]) -> np.ndarray:
