@@ -5,7 +5,6 @@ iso-value.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -21,12 +20,8 @@ from trabecula.view.slices import montage
 
 SIDE, RESULT = 80, 96
 LAGS, BANDS = 16, 8
-WAYS: dict[str, dict[str, Any]] = {
-    "labels": {},
-    "grey": {},
-    "grey, novelty 0": {"novelty": 0.0},
-}
-"""Settings of `texture`, which learns from the segmented exemplar or from the scan."""
+WAYS = ("labels", "grey")
+"""Whether `texture` learns from the segmented exemplar or from the scan."""
 
 
 def texture_grey() -> None:
@@ -44,8 +39,8 @@ def texture_grey() -> None:
         solid = tb.segment(exemplar)
         threshold = solid.recipe.steps[-1]["threshold"]
         reference, shown = _reference_of(exemplar), {name: exemplar}
-        for way, settings in WAYS.items():
-            model = fitted(solid if way == "labels" else exemplar, settings)
+        for way in WAYS:
+            model = fitted(solid if way == "labels" else exemplar, {})
             seconds, made = busy(lambda m=model: m.generate(RESULT, seed=1))
             cut = made if way == "labels" else tb.segment(made, threshold)
             found = figures(solid, cut)

@@ -100,6 +100,7 @@ def test_the_iso_surface_is_as_good_as_labels(bone, grey, model, made):
     low, high = float(grey.values.min()), float(grey.values.max())
     level = low + (model.painted.grey.scan.thresholds[0] + 127) * (high - low) / 254
     assert np.array_equal(made.values > level, structure)
+    assert np.array_equal(structure, labels.values)
 
 
 @pytest.mark.whole

@@ -38,6 +38,7 @@ from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.content.kinds import (
     Content,
     Labels,
+    Values,
     complete,
     content_of,
     free_voxels,
@@ -274,6 +275,9 @@ class TextureModel(Model):
             notify(_NOT_TOLD)
             return None
         scan, labels = found
+        if scan.count > 2:
+            levels = " and ".join(f"{self._level_of(one):g}" for one in scan.thresholds)
+            notify(f"the grey values tell {scan.count} phases, split at {levels}")
         structures = [image.values for image in labels]
         products = way == "told"
         targets = self._histograms_by_phase(structures, scan.count) if products else ()
@@ -287,6 +291,12 @@ class TextureModel(Model):
             learn_levels(fields, structures, scan, edges, match, products=products),
             targets,
         )
+
+    def _level_of(self, level: float) -> float:
+        """Return the grey value, or luminance, of a level of the field, to three digits."""
+        assert isinstance(self.content, Values)
+        low, high = self.content.low, self.content.high
+        return float(f"{low + (level + FULL) * (high - low) / (2 * FULL):.3g}")
 
     def _histograms_by_phase(
         self, structures: Sequence[np.ndarray], count: int

@@ -5,7 +5,8 @@ gradient of the voxels of a level has a minimum at every phase and a maximum bet
 Rosenfeld 1979, "Histogram modification for threshold selection", IEEE Transactions on Systems, Man,
 and Cybernetics 9, 38-52: pixels of low and of high gradient). It tells phases that overlap so far
 that the histogram has one hump; of noise without phases it is flat, since gradient and level of a
-Gaussian field are independent.
+Gaussian field are independent. Where it has less than two maxima, Otsu's criterion says whether
+there are two phases.
 
 Two phases are split by Otsu's threshold, as `exemplar.segment` does, three at the steepest levels.
 A scan whose grain would cross its thresholds is smoothed by a voxel first. Of three phases, a voxel
@@ -30,9 +31,9 @@ _SMOOTH = 1.0  # voxels: grain is no structure
 _CLEAR = 0.65  # between-class variance over the variance; of one normal distribution it is 2 / pi
 _RARE = 0.005  # a phase of less is not learnt
 _LEVELS = 24  # of the profile of gradients, each of as many voxels
-_RISE = 1.2  # of a maximum over the minima beside it
+_RISE = 1.3  # of a maximum over the minima beside it
 _MOST = 2  # thresholds
-_ALIKE = 0.9  # of a maximum
+_ALIKE = 0.8  # of a maximum
 _QUIET = 2.5  # standard deviations of the grain between two phases that it does not mix
 _LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
 
@@ -107,14 +108,12 @@ def find_phases(
     if not values.var(dtype=np.float64):
         return None
     squares = np.concatenate([_squared_gradient(part, edges).ravel() for part in smooth])
-    steepest: tuple[float, ...] = ()
-    if way == "told":
-        steepest = _steepest_levels(values, squares, otsu(plain)[0])
+    steepest = _steepest_levels(values, squares, otsu(plain)[0]) if way == "told" else ()
     if len(steepest) > 1 and _are_common(values, steepest):
         grainy = way == "two" or _is_grainy(plain, values, squares, steepest)
         return ScanPhases(steepest, _SMOOTH if grainy else 0.0)
     found = otsu(values)
-    if not _are_common(values, found) or not (steepest or _is_clear(values, found[0])):
+    if not _are_common(values, found) or not _is_clear(values, found[0]):
         return None
     if way == "two" or _is_grainy(plain, values, squares, found):
         return ScanPhases(found, _SMOOTH)
