@@ -45,6 +45,7 @@ def test_gradients_tell_three_phases_that_overlap(scan, truth):
     assert len(find_phases([scan], EVEN, way="two").thresholds) == 1
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("sigma", [1.0, 1.5, 3.0])
 def test_noise_tells_no_phases(sigma):
     """Gradient and level of a Gaussian field are independent."""
@@ -75,7 +76,7 @@ def test_from_dark_to_bright_there_is_no_middle_phase():
     levels = np.full((24, 24, 24), 200.0)
     levels[:, :12] = 40.0
     field = ndimage.gaussian_filter(levels, 1.0)[None].astype(np.float32)
-    scan = ScanPhases((90.0, 150.0), 0.0)
+    scan = ScanPhases((75.0, 165.0), 0.0)
     structure = scan.structure_of(field)
     assert np.all(structure[:, :12] == 0) and np.all(structure[:, 12:] == 2)
     low, high = scan.bounds(structure)
@@ -101,6 +102,7 @@ def test_every_phase_gets_its_own_histogram():
     assert abs(half[kept].mean() - 104.5) < 0.3, "only voxels inside are counted"
 
 
+@pytest.mark.whole
 def test_levels_of_three_phases_lie_between_their_thresholds(scan):
     """Painted on its own structure a scan keeps its phases, to the voxel where every phase has its
     own histogram, and its spectrum.

@@ -29,6 +29,7 @@ NEAR = 2
 
 _SMOOTH = 1.0  # voxels: grain is no structure
 _CLEAR = 0.65  # between-class variance over the variance; of one normal distribution it is 2 / pi
+_CLEARER = 0.7  # where no level is steeper than others: noise of few bodies reaches .66
 _RARE = 0.005  # a phase of less is not learnt
 _LEVELS = 24  # of the profile of gradients, each of as many voxels
 _RISE = 1.3  # of a maximum over the minima beside it
@@ -113,7 +114,8 @@ def find_phases(
         grainy = way == "two" or _is_grainy(plain, values, squares, steepest)
         return ScanPhases(steepest, _SMOOTH if grainy else 0.0)
     found = otsu(values)
-    if not _are_common(values, found) or not _is_clear(values, found[0]):
+    least = _CLEAR if steepest or way == "two" else _CLEARER
+    if not _are_common(values, found) or _clarity(values, found[0]) < least:
         return None
     if way == "two" or _is_grainy(plain, values, squares, found):
         return ScanPhases(found, _SMOOTH)
@@ -191,12 +193,12 @@ def _are_common(values: np.ndarray, thresholds: Sequence[float]) -> bool:
     return bool(min(-np.diff(above)) >= _RARE)
 
 
-def _is_clear(values: np.ndarray, threshold: float) -> bool:
-    """Return whether a threshold explains more of the variance than that of one hump does."""
+def _clarity(values: np.ndarray, threshold: float) -> float:
+    """Return the share of the variance that lies between the phases of a threshold."""
     bright = values > np.float32(threshold)
     share = float(bright.mean())
     gap = float(values[bright].mean(dtype=np.float64) - values[~bright].mean(dtype=np.float64))
-    return share * (1 - share) * gap**2 >= _CLEAR * float(values.var(dtype=np.float64))
+    return share * (1 - share) * gap**2 / float(values.var(dtype=np.float64))
 
 
 def _is_grainy(
