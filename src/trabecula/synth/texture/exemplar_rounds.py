@@ -46,6 +46,7 @@ from trabecula.synth.texture.graded import (
     settle_stages,
     shift_stages,
 )
+from trabecula.synth.texture.joined import Struts, join_components, join_stages
 
 # a coarsest level at less than this scale is too large for neighbourhoods at every voxel
 _SPARSE_BELOW = 4
@@ -117,7 +118,10 @@ def grid_stages(
         stages += within(rest, energy_stages(candidates.stack.field, shape, sites, reach))
     if request.target:
         stages += within({**rest, "shifted": rest["field"]}, shift_stages(shape))
-        stages += within(base, settle_stages(shape))
+        if config.grading == "shift":
+            stages += within(base, settle_stages(shape))
+        if config.connected != "none":
+            stages += within(rest, join_stages(shape))
     return tuple(stages)
 
 
@@ -139,6 +143,8 @@ class GridStage(RoundStage):
         Towards the target after every round.
     fractions : FractionTarget, optional
         The volume fraction that is required around every voxel.
+    struts : Struts, optional
+        The solid becomes one component after every vote.
     last : bool
         Whether no stage follows.
     """
@@ -151,6 +157,7 @@ class GridStage(RoundStage):
     target: Correlations | None
     steps: int
     fractions: FractionTarget | None
+    struts: Struts | None
     last: bool
 
 
@@ -169,6 +176,8 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         One a level, where `corrections` of the config step towards them.
     fractions : list of (Z, Y, X) float32
         One a level, where the request has a target (`graded`).
+    struts : sequence of Struts or None
+        One a level of the exemplar, where the solid is to be one component.
 
     Attributes
     ----------
@@ -190,12 +199,13 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         distances: bool,
         targets: Sequence[Correlations],
         fractions: list[np.ndarray],
+        struts: Sequence[Struts | None] = (),
     ) -> None:
         self.levels, self.regions = levels, regions
         self.request, self.config = request, config
         self.distances = distances
         self.targets, self.fractions = targets, fractions
-        self.graded = bool(fractions)
+        self.graded, self.struts = bool(fractions), struts
         self.debt: np.ndarray | None = None
         self.balance: Balance | None = None
         self.energies: list[dict[str, Any]] = []
@@ -245,6 +255,7 @@ class ExemplarRounds(CoarseToFine[GridStage]):
             target,
             at_level(config.corrections, index),
             fractions,
+            self.struts[index] if self.struts else None,
             place == len(self.places) - 1,
         )
 
@@ -359,9 +370,13 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         self.match_field(region, stage.grid.targets if histogram else None)
         if stage.fractions is not None:
             work.enter("shift")
-            work.adopt("shifted", stage.fractions.shift_field(work["field"]))
+            lead = stage.grid if self.config.grading == "feedback" else None
+            work.adopt("shifted", stage.fractions.shift_field(work["field"], lead))
             work.release("field")
             work.adopt("field", region.clip_to_bounds(work.take("shifted")))
+        if stage.struts is not None:
+            work.enter("join components")
+            join_components(work["field"], region, stage.struts)
         work.enter("rest")
 
     def correct(self, stage: GridStage, number: int) -> None:
@@ -388,7 +403,7 @@ class ExemplarRounds(CoarseToFine[GridStage]):
             self.energies.append(
                 {"level": stage.index, "width": self._before.basis.width, "energy": trace}
             )
-        if stage.last and stage.fractions is not None:
+        if stage.last and stage.fractions is not None and self.config.grading == "shift":
             work = self.work
             work.enter("settle")
             work.adopt("settled", settle_fractions(work["votes"], stage.fractions))
@@ -402,6 +417,8 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         words = json.dumps([self.energies, asdict(self.balance)]).encode()
         arrays = {"match": self.work["match0"], "field": self.work["field"]}
         arrays["words"] = np.frombuffer(words, np.uint8)
+        if stage.fractions is not None and stage.grid.guide is not None:
+            arrays["guide"] = stage.grid.guide
         return arrays if self.debt is None else {**arrays, "debt": self.debt}
 
     def restore(self, stage: GridStage, arrays: dict[str, np.ndarray]) -> None:
@@ -412,6 +429,8 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         self.work.adopt("match0", arrays["match"])
         self.work.adopt("field", arrays["field"])
         self.debt = arrays.get("debt")
+        if "guide" in arrays and stage.grid.guide is not None:
+            np.copyto(stage.grid.guide, arrays["guide"])
 
 
 def make_from_patches(rounds: ExemplarRounds) -> tuple[np.ndarray, list[dict[str, Any]]]:

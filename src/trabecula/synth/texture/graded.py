@@ -41,6 +41,8 @@ of the way to 0 and to 1."""
 
 # voxels a side of a window: on the finest level, and on any at least
 _WINDOW, _LEAST = 24, 6
+_LEAD = 0.5  # of what is missing around a place, by which its guide moves after a vote
+_FARTHEST = 0.25  # fraction by which a guide moves at most
 _WIDE = 64  # where the target is one number: fractions vary within as they do in the exemplar
 _UNIT = 4096  # parts of a fraction, in whole numbers
 _PULL = 16_000  # features between a fraction of 0 and one of 1
@@ -173,11 +175,7 @@ class FractionTarget:
 
     def guide(self, grid: Grid) -> np.ndarray:
         """Return the target around the middle of every site, as a feature (sz, sy, sx, 1) int16."""
-        box, steps = grid.candidates.basis.box, grid.candidates.steps
-        at = [
-            (np.arange(count) * step + w // 2) % side
-            for count, step, w, side in zip(grid.shape, steps, box, self.region.shape, strict=True)
-        ]
+        at = self._middles(grid)
         guide = memmap.empty((*grid.shape, 1), np.int16)
 
         def work(start: int, stop: int) -> None:
@@ -188,18 +186,52 @@ class FractionTarget:
         for_slabs(work, len(guide))
         return guide
 
-    def shift_field(self, field: np.ndarray) -> np.ndarray:
-        """Shift a field (1, Z, Y, X) int8 towards the target."""
+    def _middles(self, grid: Grid) -> list[np.ndarray]:
+        """Return the voxels amid the sites, along each axis."""
+        box, steps = grid.candidates.basis.box, grid.candidates.steps
+        return [
+            (np.arange(count) * step + w // 2) % side
+            for count, step, w, side in zip(grid.shape, steps, box, self.region.shape, strict=True)
+        ]
+
+    def lead_guide(self, grid: Grid, missing: np.ndarray) -> None:
+        """Move the guide of a grid by what is `missing`, as `step` gives it, in place: the next
+        search is for denser neighbourhoods where there is too little.
+        """
+        at, guide = self._middles(grid), grid.guide
+        assert guide is not None
+
+        def work(start: int, stop: int) -> None:
+            for sz in range(start, stop):
+                mesh = (at[0][sz], *np.ix_(*at[1:]))
+                counted = self.counted[mesh]
+                own = _feature(self.wanted[mesh], counted).astype(np.int32)
+                more = missing[mesh].astype(np.int64) * round(_LEAD * _PULL)
+                asked = guide[sz, ..., 0] + more // (
+                    np.maximum(counted, 1).astype(np.int64) * _UNIT
+                )
+                far = round(_FARTHEST * _PULL)
+                guide[sz, ..., 0] = np.clip(np.clip(asked, own - far, own + far), 0, _PULL)
+
+        for_slabs(work, len(guide))
+
+    def shift_field(self, field: np.ndarray, lead: Grid | None = None) -> np.ndarray:
+        """Shift a field (1, Z, Y, X) int8 towards the target; move the guide of a grid to `lead`
+        as well.
+        """
         shifted = memmap.empty(field.shape, np.int8)
 
         def add(z: int, shift: np.ndarray) -> None:
             shifted[0, z] = np.clip(field[0, z] + shift, -127, 127)
 
-        self.step(lambda z: field[0, z], add)
+        self.step(lambda z: field[0, z], add, lead)
         return shifted
 
     def step(
-        self, field: Callable[[int], np.ndarray], use: Callable[[int, np.ndarray], None]
+        self,
+        field: Callable[[int], np.ndarray],
+        use: Callable[[int, np.ndarray], None],
+        lead: Grid | None = None,
     ) -> None:
         """Take a step of Newton's method on the fractions around every voxel.
 
@@ -210,6 +242,8 @@ class FractionTarget:
         use : callable
             Takes z and what has to be added there, (Y, X) int16; called once a plane, after the
             last call of `field`.
+        lead : Grid, optional
+            Its guide is moved, too.
         """
         region, width = self.region, self.width
 
@@ -244,6 +278,8 @@ class FractionTarget:
                 use(z, plane)
 
         for_slabs(shift, len(missing))
+        if lead is not None:
+            self.lead_guide(lead, missing)
 
 
 def fraction_arrays(shape: tuple[int, ...], sites: tuple[int, ...]) -> dict[str, Array]:
@@ -316,11 +352,15 @@ def _feature(sums_: np.ndarray, counts: np.ndarray) -> np.ndarray:
     )
 
 
-def settle_fractions(votes: np.ndarray, target: FractionTarget) -> np.ndarray:
-    """Shift the last votes (1, Z, Y, X) int16 until the fractions meet the target."""
+def settle_fractions(
+    votes: np.ndarray, target: FractionTarget, *, most: int | None = None, steps: int = _LAST
+) -> np.ndarray:
+    """Shift the last votes (1, Z, Y, X) int16 until the fractions meet the target, each by `most`
+    at most.
+    """
     field = memmap.empty(votes.shape[1:], np.int32)
     for_slabs(lambda start, stop: np.copyto(field[start:stop], votes[0, start:stop]), len(field))
-    _settle(field, target)
+    _settle(field, target, None if most is None else votes[0], most or 0, steps)
     result = memmap.empty(votes.shape, np.int16)
 
     def end(start: int, stop: int) -> None:
@@ -336,8 +376,12 @@ def settle_fractions(votes: np.ndarray, target: FractionTarget) -> np.ndarray:
     return result
 
 
-def _settle(field: np.ndarray, target: FractionTarget) -> None:
-    """Take steps on a field (Z, Y, X) int32 of 256 parts to a unit, in place."""
+def _settle(
+    field: np.ndarray, target: FractionTarget, first: np.ndarray | None, most: int, steps: int
+) -> None:
+    """Take steps on a field (Z, Y, X) int32 of 256 parts to a unit, in place; with a `first` one no
+    farther from it than `most`.
+    """
     moved = memmap.zeros(field.shape, np.int16)
 
     def round_plane(z: int) -> np.ndarray:
@@ -348,8 +392,11 @@ def _settle(field: np.ndarray, target: FractionTarget) -> None:
         # 16 bits hold it: a step is at most 40, so that all of them are at most 80
         moved[z] += shift * np.int16(256)
         field[z] += moved[z]
+        if first is not None:
+            start = first[z].astype(np.int32)
+            np.clip(field[z], start - most, start + most, out=field[z])
 
-    for _ in range(_LAST):
+    for _ in range(steps):
         target.step(round_plane, move)
 
 

@@ -1,0 +1,157 @@
+"""The last votes made a result whose volume fractions follow a target, in one component.
+
+Votes blur where neighbourhoods do not agree, and a shift of such a field brings up grain and combs.
+So the interface that was voted for is kept, and moved along its own distance:
+
+1. Join the components of the solid (`joined`), at a strut's thickness.
+2. Replace the field by the signed distance to the interface.
+3. Shift it smoothly until the fraction around every voxel is that of the target (`graded`), by two
+   voxels at most: where struts get thinner some break.
+4. The same again, of what came out; then split at the target's mean fraction, to the voxel, and
+   join what the last shift has broken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from trabecula.engine import memmap
+from trabecula.engine.memory import Array, Stage, within
+from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.measure.distance import distance_transform
+from trabecula.synth.shared.content.fields import FULL, UNIT
+from trabecula.synth.shared.content.phase_fractions import brightest_voxels
+from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.texture.graded import FractionTarget, settle_fractions, settle_stages
+from trabecula.synth.texture.joined import Struts, join_components, join_stages
+
+_WIDTH = 16  # voxels a side of a window in which the fraction is to be that of the target
+_PASSES = 2
+_STEPS = 16  # of a shift
+_MOST = 2.0  # voxels by which an interface moves in one pass
+_THIN = 0.9  # voxels, radius of the last joins
+
+
+def shape_stages(shape: Sequence[int], *, known: bool, masked: bool) -> tuple[Stage, ...]:
+    """Declare the arrays of `settle_shape`."""
+    volume, sums = (1, *shape), Array(shape, np.int32)
+    given = {
+        "final free": Array(shape, bool) if known or masked else None,
+        "final low": Array(volume, np.int8) if known else None,
+        "final high": Array(volume, np.int8) if known else None,
+        "final fractions": Array(shape, np.float32),
+        "final wanted": sums,
+        "final counted": sums,
+        "votes": Array(volume, np.int16),
+    }
+    distance = {
+        "final field": Array(volume, np.int8),
+        "distance": Array(shape, np.float32),
+        "outside": Array(shape, bool),
+    }
+    return (
+        Stage("distance", {**given, **distance}),
+        *within({**given, "final field": Array(volume, np.int8)}, join_stages(shape)),
+        *within(given, settle_stages(tuple(shape))),
+    )
+
+
+def settle_shape(
+    votes: np.ndarray,
+    region: Region,
+    fractions: np.ndarray,
+    struts: Struts | None,
+    *,
+    unit: float,
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Return the voxels of the upper phase, (Z, Y, X) bool, and a report.
+
+    Parameters
+    ----------
+    votes : (1, Z, Y, X) int16
+        The last ones, of the result's shape; they are overwritten.
+    region : Region
+        The result.
+    fractions : (Z, Y, X) float32
+        Of the upper phase, at every voxel.
+    struts : Struts or None
+        How to join the solid; None where it need not be one component.
+    unit : float
+        Steps of the field in a voxel.
+    """
+    target = FractionTarget.of(region, fractions, _WIDTH)
+    joins = 0
+    for _ in range(_PASSES):
+        field = _rounded(votes)
+        if struts is not None:
+            joins += join_components(field, region, struts)
+        votes = _distances(field, region, unit)
+        del field
+        votes = settle_fractions(votes, target, most=round(_MOST * unit * UNIT), steps=_STEPS)
+    upper = _split(votes, region, target.mean)
+    if struts is not None:
+        field = _signed(upper, votes)
+        joins += join_components(field, region, replace(struts, radius=_THIN))
+        for_slabs(lambda a, b: np.greater(field[0, a:b], 0, out=upper[a:b]), len(upper))
+    return upper, {"joins": joins}
+
+
+def _rounded(votes: np.ndarray) -> np.ndarray:
+    """Round votes (1, Z, Y, X) int16 to a field in int8."""
+    field = memmap.empty(votes.shape, np.int8)
+
+    def work(start: int, stop: int) -> None:
+        part = (votes[:, start:stop].astype(np.int32) + UNIT // 2) >> 8
+        field[:, start:stop] = np.clip(part, -FULL, FULL)
+
+    for_slabs(work, votes.shape[1])
+    return field
+
+
+def _distances(field: np.ndarray, region: Region, unit: float) -> np.ndarray:
+    """Return the signed distance to where a field (1, Z, Y, X) changes its sign, as votes int16."""
+    votes, scale = memmap.empty(field.shape, np.int16), np.float32(unit * UNIT)
+    for sign in (1, -1):
+        side = memmap.empty(field.shape[1:], bool)
+
+        def mark(start: int, stop: int, side: np.ndarray = side, upper: bool = sign > 0) -> None:
+            np.equal(field[0, start:stop] > 0, upper, out=side[start:stop])
+
+        for_slabs(mark, len(side))
+        distance = distance_transform(side, periodic=region.wraps)
+
+        def write(start: int, stop: int, distance: np.ndarray = distance, sign: int = sign) -> None:
+            part = distance[start:stop]
+            far = np.clip((part - np.float32(0.5)) * scale, 0, FULL * UNIT).astype(np.int16)
+            np.copyto(votes[0, start:stop], sign * far, where=part > 0)
+
+        for_slabs(write, len(side))
+        del distance, side
+    return votes
+
+
+def _split(votes: np.ndarray, region: Region, mean: float) -> np.ndarray:
+    """Mark as many of the free voxels as the mean fraction says, the largest votes first."""
+    free = region.free
+    size = sum_slabs(
+        lambda a, b: (b - a) * votes[0, 0].size if free is None else np.count_nonzero(free[a:b]),
+        len(votes[0]),
+    )
+    return brightest_voxels(votes[0], round(size * mean), free)
+
+
+def _signed(upper: np.ndarray, votes: np.ndarray) -> np.ndarray:
+    """Return a field (1, Z, Y, X) int8 that is positive in the upper phase alone."""
+    field = _rounded(votes)
+
+    def work(start: int, stop: int) -> None:
+        part = field[0, start:stop]
+        inside = upper[start:stop]
+        part[...] = np.where(inside, np.maximum(part, 1), np.minimum(part, 0))
+
+    for_slabs(work, len(upper))
+    return field
