@@ -125,16 +125,22 @@ def _spread_owners(
     back along an axis, and one sweep in each direction finds all of them; else the two are repeated
     (`again`) until nothing changes.
     """
-    depth, changed = len(owner), [True]
+    depth, number, changed = len(owner), 0, [True]
+    last = np.ones(owner.shape[:2], np.int32)  # sweep in which a row changed
     while changed[0]:
-        changed[0] = False
+        changed[0], number = False, number + 2
+        parts = (owner, far, open_to, wraps, cost, last)
 
-        def forward(start: int, stop: int) -> None:
-            changed[0] |= bool(_sweep(owner, far, open_to, wraps, cost, 1, start, stop))
+        def forward(
+            start: int, stop: int, parts: tuple[np.ndarray, ...] = parts, at: int = number - 1
+        ) -> None:
+            changed[0] |= bool(_sweep(*parts, at, 1, start, stop))
 
-        def backward(start: int, stop: int) -> None:
-            first, last = depth - stop, depth - start
-            changed[0] |= bool(_sweep(owner, far, open_to, wraps, cost, -1, first, last))
+        def backward(
+            start: int, stop: int, parts: tuple[np.ndarray, ...] = parts, at: int = number
+        ) -> None:
+            first, end = depth - stop, depth - start
+            changed[0] |= bool(_sweep(*parts, at, -1, first, end))
 
         in_order(forward, depth)
         in_order(backward, depth)
@@ -238,8 +244,14 @@ def _step_to(place, side, wraps):
 
 
 @kernel
-def _sweep(owner, far, open_to, wraps, cost, way, start, stop):
-    """Propagate owners in raster order (way 1) or against it (-1); return whether any changed."""
+def _sweep(owner, far, open_to, wraps, cost, last, number, way, start, stop):
+    """Propagate owners in raster order (way 1) or against it (-1); return whether any changed.
+
+    A row is left out where neither it nor the rows before it changed in the last sweep or in this
+    one, sweep `number`: it has seen all of them. Around a periodic axis a row comes before the
+    one that it continues, so that it counts for one sweep more.
+    """
+    oldest = number - (2 if wraps.any() else 1)
     depth, height, width = owner.shape
     changed = False
     for i in range(stop - start):
@@ -248,24 +260,28 @@ def _sweep(owner, far, open_to, wraps, cost, way, start, stop):
         for j in range(height):
             y = j if way > 0 else height - 1 - j
             b = _step_to(y - way, height, wraps[1])
+            seen = max(last[z, y], last[c, y] if c >= 0 else 0, last[z, b] if b >= 0 else 0)
+            if seen < oldest:
+                continue
             for k in range(width):
                 x = k if way > 0 else width - 1 - k
                 if not open_to[z, y, x]:
                     continue
                 best = np.int64(far[z, y, x])
-                number = np.int64(owner[z, y, x])
+                nearest = np.int64(owner[z, y, x])
                 before = best
                 price = np.int64(cost[z, y, x]) if cost.size else np.int64(1)
                 a = _step_to(x - way, width, wraps[2])
                 if c >= 0 and far[c, y, x] < best - price:
-                    best, number = np.int64(far[c, y, x]) + price, np.int64(owner[c, y, x])
+                    best, nearest = np.int64(far[c, y, x]) + price, np.int64(owner[c, y, x])
                 if b >= 0 and far[z, b, x] < best - price:
-                    best, number = np.int64(far[z, b, x]) + price, np.int64(owner[z, b, x])
+                    best, nearest = np.int64(far[z, b, x]) + price, np.int64(owner[z, b, x])
                 if a >= 0 and far[z, y, a] < best - price:
-                    best, number = np.int64(far[z, y, a]) + price, np.int64(owner[z, y, a])
+                    best, nearest = np.int64(far[z, y, a]) + price, np.int64(owner[z, y, a])
                 if best < before:
                     far[z, y, x] = best
-                    owner[z, y, x] = number
+                    owner[z, y, x] = nearest
+                    last[z, y] = number
                     changed = True
     return changed
 

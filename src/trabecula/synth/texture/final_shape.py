@@ -4,9 +4,10 @@ Votes blur where neighbourhoods do not agree, and a shift of such a field brings
 So the interface that was voted for is kept, and moved along its own distance:
 
 1. Join the components of the solid (`joined`), at a strut's thickness.
-2. Replace the field by the signed distance to the interface.
-3. Shift it smoothly until the fraction around every voxel is that of the target (`graded`), by two
-   voxels at most: where struts get thinner some break.
+2. Replace the field by the signed distance to the interface, smoothed by a voxel: distances to
+   voxels have steps.
+3. Shift it smoothly until the fraction around every voxel is that of the target (`local_offset`),
+   by three voxels at most: where struts get thinner some break.
 4. The same again, of what came out; then split at the target's mean fraction, to the voxel, and
    join what the last shift has broken.
 """
@@ -20,32 +21,31 @@ from typing import Any
 import numpy as np
 
 from trabecula.engine import memmap
+from trabecula.engine.compile import kernel
 from trabecula.engine.memory import Array, Stage, within
-from trabecula.engine.parallel import for_slabs, sum_slabs
+from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import distance_transform
 from trabecula.synth.shared.content.fields import FULL, UNIT
 from trabecula.synth.shared.content.phase_fractions import brightest_voxels
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.texture.graded import FractionTarget, settle_fractions, settle_stages
 from trabecula.synth.texture.joined import Struts, join_components, join_stages
+from trabecula.synth.texture.local_offset import LocalOffset
 
-_WIDTH = 16  # voxels a side of a window in which the fraction is to be that of the target
+_WIDTH = 20  # voxels a side of a window in which the fraction is to be that of the target
 _PASSES = 2
-_STEPS = 16  # of a shift
-_MOST = 2.0  # voxels by which an interface moves in one pass
+_STEPS, _FULL = 60, 15  # of a shift; the last of them count every voxel
+_MOST = 3.0  # voxels by which an interface moves in one pass
 _THIN = 0.9  # voxels, radius of the last joins
 
 
 def shape_stages(shape: Sequence[int], *, known: bool, masked: bool) -> tuple[Stage, ...]:
     """Declare the arrays of `settle_shape`."""
-    volume, sums = (1, *shape), Array(shape, np.int32)
+    volume = (1, *shape)
     given = {
         "final free": Array(shape, bool) if known or masked else None,
         "final low": Array(volume, np.int8) if known else None,
         "final high": Array(volume, np.int8) if known else None,
         "final fractions": Array(shape, np.float32),
-        "final wanted": sums,
-        "final counted": sums,
         "votes": Array(volume, np.int16),
     }
     distance = {
@@ -56,7 +56,6 @@ def shape_stages(shape: Sequence[int], *, known: bool, masked: bool) -> tuple[St
     return (
         Stage("distance", {**given, **distance}),
         *within({**given, "final field": Array(volume, np.int8)}, join_stages(shape)),
-        *within(given, settle_stages(tuple(shape))),
     )
 
 
@@ -83,16 +82,20 @@ def settle_shape(
     unit : float
         Steps of the field in a voxel.
     """
-    target = FractionTarget.of(region, fractions, _WIDTH)
-    joins = 0
+    most, joins = _MOST * unit * UNIT, 0
+    size, mean = _mean_of(fractions, region)
     for _ in range(_PASSES):
         field = _rounded(votes)
         if struts is not None:
             joins += join_components(field, region, struts)
         votes = _distances(field, region, unit)
         del field
-        votes = settle_fractions(votes, target, most=round(_MOST * unit * UNIT), steps=_STEPS)
-    upper = _split(votes, region, target.mean)
+        local = LocalOffset.of(region, fractions, _WIDTH)
+        for number in range(_STEPS):
+            every = 2 if number < _STEPS - _FULL else 1
+            local.step(votes[0], low=-most, high=most, every=every)
+        local.add_to(votes[0])
+    upper = brightest_voxels(votes[0], round(size * mean), region.free)
     if struts is not None:
         field = _signed(upper, votes)
         joins += join_components(field, region, replace(struts, radius=_THIN))
@@ -131,17 +134,22 @@ def _distances(field: np.ndarray, region: Region, unit: float) -> np.ndarray:
 
         for_slabs(write, len(side))
         del distance, side
+    soften(votes[0])
     return votes
 
 
-def _split(votes: np.ndarray, region: Region, mean: float) -> np.ndarray:
-    """Mark as many of the free voxels as the mean fraction says, the largest votes first."""
-    free = region.free
-    size = sum_slabs(
-        lambda a, b: (b - a) * votes[0, 0].size if free is None else np.count_nonzero(free[a:b]),
-        len(votes[0]),
-    )
-    return brightest_voxels(votes[0], round(size * mean), free)
+def _mean_of(fractions: np.ndarray, region: Region) -> tuple[int, float]:
+    """Return the number of free voxels, and the mean of fractions (Z, Y, X) over them."""
+    planes = np.zeros((len(fractions), 2))
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            part = fractions[z] if region.free is None else fractions[z][region.free[z]]
+            planes[z] = part.size, part.sum(dtype=np.float64)
+
+    for_slabs(work, len(planes))
+    size = int(planes[:, 0].sum())
+    return size, float(planes[:, 1].sum()) / max(1, size)
 
 
 def _signed(upper: np.ndarray, votes: np.ndarray) -> np.ndarray:
@@ -155,3 +163,48 @@ def _signed(upper: np.ndarray, votes: np.ndarray) -> np.ndarray:
 
     for_slabs(work, len(upper))
     return field
+
+
+def soften(votes: np.ndarray) -> None:
+    """Smooth votes (Z, Y, X) int16 in place by 1, 2, 1 along every axis; beyond a face the last
+    voxel is repeated.
+    """
+    for_slabs(lambda a, b: _soften(votes, a, b), len(votes))
+    for_slabs(lambda a, b: _soften_across(votes, a, b), votes.shape[1])
+
+
+@kernel
+def _soften(votes, start, stop):
+    """Smooth some planes along x and y."""
+    height, width = votes.shape[1:]
+    line = np.empty(width, np.int32)
+    for z in range(start, stop):
+        for y in range(height):
+            row = votes[z, y]
+            before = np.int32(row[0])
+            for x in range(width):
+                here, behind = np.int32(row[x]), np.int32(row[min(x + 1, width - 1)])
+                row[x] = (before + 2 * here + behind + 2) >> 2
+                before = here
+        line[:] = votes[z, 0]
+        for y in range(height):
+            row, behind_row = votes[z, y], votes[z, min(y + 1, height - 1)]
+            for x in range(width):
+                here, behind = np.int32(row[x]), np.int32(behind_row[x])
+                row[x] = (line[x] + 2 * here + behind + 2) >> 2
+                line[x] = here
+
+
+@kernel
+def _soften_across(votes, start, stop):
+    """Smooth some rows of columns along z."""
+    depth, _, width = votes.shape
+    line = np.empty(width, np.int32)
+    for y in range(start, stop):
+        line[:] = votes[0, y]
+        for z in range(depth):
+            row, behind_row = votes[z, y], votes[min(z + 1, depth - 1), y]
+            for x in range(width):
+                here, behind = np.int32(row[x]), np.int32(behind_row[x])
+                row[x] = (line[x] + 2 * here + behind + 2) >> 2
+                line[x] = here

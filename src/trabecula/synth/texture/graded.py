@@ -34,6 +34,7 @@ from trabecula.synth.shared.matching.grid import Grid, append_guide
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.pyramid import halve
+from trabecula.synth.texture.local_offset import PARTS, LocalOffset
 
 BEYOND = 0.5
 """Reach of the shift outside the exemplar's own porosities, with struts that still look like it:
@@ -41,6 +42,7 @@ of the way to 0 and to 1."""
 
 # voxels a side of a window: on the finest level, and on any at least
 _WINDOW, _LEAST = 24, 6
+_LOCAL = 20  # of the windows whose fraction is fed back, on the finest level
 _LEAD = 0.5  # of what is missing around a place, by which its guide moves after a vote
 _FARTHEST = 0.25  # fraction by which a guide moves at most
 _WIDE = 64  # where the target is one number: fractions vary within as they do in the exemplar
@@ -175,7 +177,11 @@ class FractionTarget:
 
     def guide(self, grid: Grid) -> np.ndarray:
         """Return the target around the middle of every site, as a feature (sz, sy, sx, 1) int16."""
-        at = self._middles(grid)
+        box, steps = grid.candidates.basis.box, grid.candidates.steps
+        at = [
+            (np.arange(count) * step + w // 2) % side
+            for count, step, w, side in zip(grid.shape, steps, box, self.region.shape, strict=True)
+        ]
         guide = memmap.empty((*grid.shape, 1), np.int16)
 
         def work(start: int, stop: int) -> None:
@@ -186,52 +192,18 @@ class FractionTarget:
         for_slabs(work, len(guide))
         return guide
 
-    def _middles(self, grid: Grid) -> list[np.ndarray]:
-        """Return the voxels amid the sites, along each axis."""
-        box, steps = grid.candidates.basis.box, grid.candidates.steps
-        return [
-            (np.arange(count) * step + w // 2) % side
-            for count, step, w, side in zip(grid.shape, steps, box, self.region.shape, strict=True)
-        ]
-
-    def lead_guide(self, grid: Grid, missing: np.ndarray) -> None:
-        """Move the guide of a grid by what is `missing`, as `step` gives it, in place: the next
-        search is for denser neighbourhoods where there is too little.
-        """
-        at, guide = self._middles(grid), grid.guide
-        assert guide is not None
-
-        def work(start: int, stop: int) -> None:
-            for sz in range(start, stop):
-                mesh = (at[0][sz], *np.ix_(*at[1:]))
-                counted = self.counted[mesh]
-                own = _feature(self.wanted[mesh], counted).astype(np.int32)
-                more = missing[mesh].astype(np.int64) * round(_LEAD * _PULL)
-                asked = guide[sz, ..., 0] + more // (
-                    np.maximum(counted, 1).astype(np.int64) * _UNIT
-                )
-                far = round(_FARTHEST * _PULL)
-                guide[sz, ..., 0] = np.clip(np.clip(asked, own - far, own + far), 0, _PULL)
-
-        for_slabs(work, len(guide))
-
-    def shift_field(self, field: np.ndarray, lead: Grid | None = None) -> np.ndarray:
-        """Shift a field (1, Z, Y, X) int8 towards the target; move the guide of a grid to `lead`
-        as well.
-        """
+    def shift_field(self, field: np.ndarray) -> np.ndarray:
+        """Shift a field (1, Z, Y, X) int8 towards the target."""
         shifted = memmap.empty(field.shape, np.int8)
 
         def add(z: int, shift: np.ndarray) -> None:
             shifted[0, z] = np.clip(field[0, z] + shift, -127, 127)
 
-        self.step(lambda z: field[0, z], add, lead)
+        self.step(lambda z: field[0, z], add)
         return shifted
 
     def step(
-        self,
-        field: Callable[[int], np.ndarray],
-        use: Callable[[int, np.ndarray], None],
-        lead: Grid | None = None,
+        self, field: Callable[[int], np.ndarray], use: Callable[[int, np.ndarray], None]
     ) -> None:
         """Take a step of Newton's method on the fractions around every voxel.
 
@@ -242,8 +214,6 @@ class FractionTarget:
         use : callable
             Takes z and what has to be added there, (Y, X) int16; called once a plane, after the
             last call of `field`.
-        lead : Grid, optional
-            Its guide is moved, too.
         """
         region, width = self.region, self.width
 
@@ -278,14 +248,17 @@ class FractionTarget:
                 use(z, plane)
 
         for_slabs(shift, len(missing))
-        if lead is not None:
-            self.lead_guide(lead, missing)
 
 
-def fraction_arrays(shape: tuple[int, ...], sites: tuple[int, ...]) -> dict[str, Array]:
-    """Declare the arrays of a `FractionTarget` of so many voxels, and of the guide of a search."""
+def fraction_arrays(
+    shape: tuple[int, ...], sites: tuple[int, ...], grading: str
+) -> dict[str, Array]:
+    """Declare the guide of a search, and the arrays of a `FractionTarget` of so many voxels."""
+    guide = {"guide": Array((*sites, 1), np.int16, axis=-4)}
+    if grading == "feedback":
+        return guide
     sums = Array(shape, np.int32)
-    return {"wanted": sums, "counted": sums, "guide": Array((*sites, 1), np.int16, axis=-4)}
+    return {"wanted": sums, "counted": sums, **guide}
 
 
 def shift_stages(shape: tuple[int, ...]) -> tuple[Stage, ...]:
@@ -321,6 +294,44 @@ def guide_grid(grid: Grid, fractions: np.ndarray, index: int) -> tuple[Grid, Fra
     return replace(grid, targets=targets, guide=target.guide(grid)), target
 
 
+def lead_grid(grid: Grid, fractions: np.ndarray, index: int) -> tuple[Grid, LocalOffset]:
+    """Return a grid of level `index` whose search is guided, and the offset that meets the target
+    of its field; fractions are those of that level.
+    """
+    width = max(_LEAST, _LOCAL // 2**index)
+    local = LocalOffset.of(grid.region, fractions, width)
+    own, mean = phase_fraction(grid.candidates.stack), local.mean
+    targets = tuple(Histogram.reweight(h, mean / own, (1 - mean) / (1 - own)) for h in grid.targets)
+    grid = replace(grid, candidates=add_fraction_feature(grid.candidates, width))
+    guide = memmap.zeros((*grid.shape, 1), np.int16)
+    grid = replace(grid, targets=targets, guide=guide)
+    lead_guide(grid, local, first=True)
+    return grid, local
+
+
+def lead_guide(grid: Grid, local: LocalOffset, *, first: bool = False) -> None:
+    """Move the guide of a grid by what is missing, in place: the next search is for denser
+    neighbourhoods where there is too little. The `first` guide is the target.
+    """
+    box, steps = grid.candidates.basis.box, grid.candidates.steps
+    places = [
+        (np.arange(count) * step + w // 2) % side
+        for count, step, w, side in zip(grid.shape, steps, box, grid.region.shape, strict=True)
+    ]
+    at, guide, far = local.at(places), grid.guide, round(_FARTHEST * _PULL)
+    assert guide is not None
+    own = local.wanted * _PULL // (np.maximum(local.counted, 1) * PARTS)
+    more = np.rint(local.missing * np.float32(_LEAD * _PULL)).astype(np.int64)
+
+    def work(start: int, stop: int) -> None:
+        mesh = (at[0][start:stop], *at[1:])
+        around = own[mesh]
+        asked = around if first else guide[start:stop, ..., 0] + more[mesh]
+        guide[start:stop, ..., 0] = np.clip(np.clip(asked, around - far, around + far), 0, _PULL)
+
+    for_slabs(work, len(guide))
+
+
 def add_fraction_feature(candidates: Candidates, width: int) -> Candidates:
     """Return candidates with one more feature: the fraction of the phase in the window
     around them.
@@ -352,15 +363,11 @@ def _feature(sums_: np.ndarray, counts: np.ndarray) -> np.ndarray:
     )
 
 
-def settle_fractions(
-    votes: np.ndarray, target: FractionTarget, *, most: int | None = None, steps: int = _LAST
-) -> np.ndarray:
-    """Shift the last votes (1, Z, Y, X) int16 until the fractions meet the target, each by `most`
-    at most.
-    """
+def settle_fractions(votes: np.ndarray, target: FractionTarget) -> np.ndarray:
+    """Shift the last votes (1, Z, Y, X) int16 until the fractions meet the target."""
     field = memmap.empty(votes.shape[1:], np.int32)
     for_slabs(lambda start, stop: np.copyto(field[start:stop], votes[0, start:stop]), len(field))
-    _settle(field, target, None if most is None else votes[0], most or 0, steps)
+    _settle(field, target)
     result = memmap.empty(votes.shape, np.int16)
 
     def end(start: int, stop: int) -> None:
@@ -376,12 +383,8 @@ def settle_fractions(
     return result
 
 
-def _settle(
-    field: np.ndarray, target: FractionTarget, first: np.ndarray | None, most: int, steps: int
-) -> None:
-    """Take steps on a field (Z, Y, X) int32 of 256 parts to a unit, in place; with a `first` one no
-    farther from it than `most`.
-    """
+def _settle(field: np.ndarray, target: FractionTarget) -> None:
+    """Take steps on a field (Z, Y, X) int32 of 256 parts to a unit, in place."""
     moved = memmap.zeros(field.shape, np.int16)
 
     def round_plane(z: int) -> np.ndarray:
@@ -392,11 +395,8 @@ def _settle(
         # 16 bits hold it: a step is at most 40, so that all of them are at most 80
         moved[z] += shift * np.int16(256)
         field[z] += moved[z]
-        if first is not None:
-            start = first[z].astype(np.int32)
-            np.clip(field[z], start - most, start + most, out=field[z])
 
-    for _ in range(steps):
+    for _ in range(_LAST):
         target.step(round_plane, move)
 
 
