@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from trabecula.engine import memmap
-from trabecula.engine.compile import kernel
+from trabecula.engine.compile import inline, kernel
 from trabecula.engine.memory import Array, Stage, within
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import distance_transform
@@ -83,7 +83,6 @@ def settle_shape(
         Steps of the field in a voxel.
     """
     most, joins = _MOST * unit * UNIT, 0
-    size, mean = _mean_of(fractions, region)
     for _ in range(_PASSES):
         field = _rounded(votes)
         if struts is not None:
@@ -95,7 +94,7 @@ def settle_shape(
             every = 2 if number < _STEPS - _FULL else 1
             local.step(votes[0], low=-most, high=most, every=every)
         local.add_to(votes[0])
-    upper = brightest_voxels(votes[0], round(size * mean), region.free)
+    upper = brightest_voxels(votes[0], _count_of(fractions, region), region.free)
     if struts is not None:
         field = _signed(upper, votes)
         joins += join_components(field, region, replace(struts, radius=_THIN))
@@ -134,22 +133,29 @@ def _distances(field: np.ndarray, region: Region, unit: float) -> np.ndarray:
 
         for_slabs(write, len(side))
         del distance, side
-    soften(votes[0])
+    soften(votes[0], region.wraps)
     return votes
 
 
-def _mean_of(fractions: np.ndarray, region: Region) -> tuple[int, float]:
-    """Return the number of free voxels, and the mean of fractions (Z, Y, X) over them."""
-    planes = np.zeros((len(fractions), 2))
+def _count_of(fractions: np.ndarray, region: Region) -> int:
+    """Return how many free voxels are to be of the upper phase, so that free and known ones
+    together have the mean of fractions (Z, Y, X).
+    """
+    sums = np.zeros(len(fractions))
+    free, low, high = region.free, region.low, region.high
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
-            part = fractions[z] if region.free is None else fractions[z][region.free[z]]
-            planes[z] = part.size, part.sum(dtype=np.float64)
+            made = None if free is None else free[z]
+            sums[z] = fractions[z].sum(dtype=np.float64, where=True if made is None else made)
+            if low is not None and high is not None:
+                known = (low[0, z] > 0) | (high[0, z] <= 0)  # others are outside of a form
+                known &= True if made is None else ~made
+                sums[z] += fractions[z].sum(dtype=np.float64, where=known)
+                sums[z] -= np.count_nonzero(known & (low[0, z] > 0))
 
-    for_slabs(work, len(planes))
-    size = int(planes[:, 0].sum())
-    return size, float(planes[:, 1].sum()) / max(1, size)
+    for_slabs(work, len(sums))
+    return max(0, round(float(sums.sum())))
 
 
 def _signed(upper: np.ndarray, votes: np.ndarray) -> np.ndarray:
@@ -165,46 +171,48 @@ def _signed(upper: np.ndarray, votes: np.ndarray) -> np.ndarray:
     return field
 
 
-def soften(votes: np.ndarray) -> None:
-    """Smooth votes (Z, Y, X) int16 in place by 1, 2, 1 along every axis; beyond a face the last
-    voxel is repeated.
+def soften(votes: np.ndarray, wraps: Sequence[bool] = (False, False, False)) -> None:
+    """Smooth votes (Z, Y, X) int16 in place by 1, 2, 1 along every axis; beyond an open face the
+    last voxel is repeated.
     """
-    for_slabs(lambda a, b: _soften(votes, a, b), len(votes))
-    for_slabs(lambda a, b: _soften_across(votes, a, b), votes.shape[1])
+    around = np.array(wraps)
+    for_slabs(lambda a, b: _soften(votes, around, a, b), len(votes))
+    for_slabs(lambda a, b: _soften_lines(votes, around[0], a, b), votes.shape[1])
 
 
 @kernel
-def _soften(votes, start, stop):
+def _soften(votes, wraps, start, stop):
     """Smooth some planes along x and y."""
     height, width = votes.shape[1:]
-    line = np.empty(width, np.int32)
     for z in range(start, stop):
         for y in range(height):
             row = votes[z, y]
-            before = np.int32(row[0])
+            first = np.int32(row[0])
+            before = np.int32(row[width - 1]) if wraps[2] else first
             for x in range(width):
-                here, behind = np.int32(row[x]), np.int32(row[min(x + 1, width - 1)])
+                here = np.int32(row[x])
+                behind = np.int32(row[x + 1]) if x + 1 < width else first if wraps[2] else here
                 row[x] = (before + 2 * here + behind + 2) >> 2
                 before = here
-        line[:] = votes[z, 0]
-        for y in range(height):
-            row, behind_row = votes[z, y], votes[z, min(y + 1, height - 1)]
-            for x in range(width):
-                here, behind = np.int32(row[x]), np.int32(behind_row[x])
-                row[x] = (line[x] + 2 * here + behind + 2) >> 2
-                line[x] = here
+        _soften_rows(votes[z], wraps[1])
 
 
 @kernel
-def _soften_across(votes, start, stop):
+def _soften_lines(votes, wraps, start, stop):
     """Smooth some rows of columns along z."""
-    depth, _, width = votes.shape
-    line = np.empty(width, np.int32)
     for y in range(start, stop):
-        line[:] = votes[0, y]
-        for z in range(depth):
-            row, behind_row = votes[z, y], votes[min(z + 1, depth - 1), y]
-            for x in range(width):
-                here, behind = np.int32(row[x]), np.int32(behind_row[x])
-                row[x] = (line[x] + 2 * here + behind + 2) >> 2
-                line[x] = here
+        _soften_rows(votes[:, y], wraps)
+
+
+@inline
+def _soften_rows(plane, wraps):
+    """Smooth a plane (N, X) along its first axis, in place."""
+    side, width = plane.shape
+    first = plane[0].astype(np.int32)
+    before = plane[side - 1].astype(np.int32) if wraps else first.copy()
+    for n in range(side):
+        for x in range(width):
+            here = np.int32(plane[n, x])
+            behind = np.int32(plane[n + 1, x]) if n + 1 < side else first[x] if wraps else here
+            plane[n, x] = (before[x] + 2 * here + behind + 2) >> 2
+            before[x] = here

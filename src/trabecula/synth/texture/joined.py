@@ -139,7 +139,8 @@ def solid_of(field: np.ndarray, region: Region, *, upper: bool) -> np.ndarray:
         if free is not None:
             there = free[start:stop]
             if low is not None and high is not None:
-                there = there | (low[0, start:stop] == high[0, start:stop])
+                # others that are not free are outside of a form
+                there = there | (low[0, start:stop] > 0) | (high[0, start:stop] <= 0)
             part = part & there
         inside[start:stop] = part
 
