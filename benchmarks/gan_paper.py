@@ -67,12 +67,12 @@ PART = 15 << 20
 PEAK = 798e12
 """Multiplications and additions a second of an H100 in bf16, measured in products of matrices."""
 
-REHEARSAL: dict[str, Any] = {"width": 6, "latent": 10, "batch": 4}
+REHEARSAL: dict[str, Any] = {"width": 6, "latent": 10, "batch": 2}
 """Instead of 64, 100 and 100 on a processor: a tenth of the width."""
 
-SIDE, REACH = 120, 50
+SIDE = {"cuda": 120, "cpu": 64}
 SAMPLES = {"cuda": 10, "cpu": 1}
-RESERVE = {"cuda": 90.0, "cpu": 12.0}
+RESERVE = {"cuda": 120.0, "cpu": 10.0}
 """Seconds of a command for the calibration, the figures and the files."""
 
 LOOKS = 12
@@ -271,7 +271,7 @@ def _save(model: Any, out: Path, state: Path, found: dict[str, Any]) -> None:
 
 
 def _measure(model: Any, image: tb.Image, out: Path, found: dict[str, Any]) -> None:
-    """Measure samples of 120^3 as table 1 does, and draw the first ones."""
+    """Measure samples as table 1 does (on a card of 120^3), and draw the first ones."""
     from by_example import figures
     from trabecula.view.slices import montage
 
@@ -279,7 +279,7 @@ def _measure(model: Any, image: tb.Image, out: Path, found: dict[str, Any]) -> N
     found["samples"] = []
     for seed in range(SAMPLES[found["device"]]):
         start = time.monotonic()
-        samples.append(model.generate(SIDE, seed=seed))
+        samples.append(model.generate(SIDE[found["device"]], seed=seed))
         seconds.append(time.monotonic() - start)
         try:
             found["samples"].append(asdict(figures(image, samples[-1])))
