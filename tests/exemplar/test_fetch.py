@@ -1,6 +1,5 @@
 """Published data: from a folder, from the cache, or downloaded, and only with the right voxels."""
 
-import os
 import re
 from dataclasses import replace
 from urllib.error import URLError
@@ -57,7 +56,7 @@ def test_a_file_is_downloaded_once_and_cropped(place, monkeypatch):
 
 def test_a_folder_with_data_comes_first(place, monkeypatch):
     (place / "mine").mkdir()
-    os.rename(place / "source" / "scan one.npy", place / "mine" / "copy.npy")
+    (place / "source" / "scan one.npy").rename(place / "mine" / "copy.npy")
     monkeypatch.setenv("TRABECULA_DATA", str(place / "mine"))
     assert tb.fetch("scan").recipe.steps[0]["source"].endswith("copy.npy")
     assert not (place / "cache").exists()
