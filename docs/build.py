@@ -29,6 +29,7 @@ from steps.cache import ExampleCache
 
 DOCS = Path(__file__).resolve().parent
 README = DOCS.parent / "README.md"
+GENERATED = ("methods", "reference")
 NOT_PAGES = ("_build", "steps", "made")
 FAILED = DOCS / "_build" / "failed.json"
 ROOT = DOCS.parent
@@ -53,7 +54,8 @@ def main(names: list[str]) -> int:
         return 0
     if SCANS.is_dir():
         os.environ.setdefault("TRABECULA_DATA", str(SCANS))
-    run_timed("pages", lambda: pages.write(DOCS))
+    if not names or any(name.partition("/")[0] in GENERATED for name in names):
+        run_timed("pages", lambda: pages.write(DOCS))
     sys.path.append(str(EXAMPLES))
     chosen = [(DOCS / name).resolve() for name in names] or [README, *list_pages()]
     cache = ExampleCache(ROOT / "build" / "docs-cache", SOURCES)
