@@ -8,6 +8,7 @@ repository and have not been fetched; what comes from one is used only if its vo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 from urllib.parse import quote
 
 __all__ = ["DATA_SETS", "DataSet", "datasets"]
@@ -55,7 +56,7 @@ class DataSet:
     phases: tuple[str, ...] = ()
 
 
-def _github(repository: str, commit: str, path: str) -> dict[str, str]:
+def _github(repository: str, commit: str, path: str) -> dict[str, Any]:
     """Return source and address of a file at a commit."""
     return {
         "source": f"github.com/{repository}: {path}",
@@ -63,27 +64,27 @@ def _github(repository: str, commit: str, path: str) -> dict[str, str]:
     }
 
 
-def _bone(number: int) -> dict[str, str]:
+def _bone(number: int) -> dict[str, Any]:
     path = f"data/rois/isodata_04216_roi_{number}.nrrd"
     return _github("qiancao/BoneBox", "3024b412b99bcc4bf5333416b8625dcd71dfddb3", path)
 
 
-def _micrograph(name: str) -> dict[str, str]:
+def _micrograph(name: str) -> dict[str, Any]:
     path = f"example_microstructures/{name}_resized.npy"
     commit = "7d5312f4f55c720acc59b2f8faf72f25f4055acc"
     return _github("NEFM-TUDresden/MCRpy", commit, path)
 
 
-def _bread(number: int) -> dict[str, str]:
+def _bread(number: int) -> dict[str, Any]:
     path = f"images/train/bread/baguette{number}.png"
     return _github("rbaravalle/imfractal", "418ee94b7739f016e626a7d27dc0bcff6eb26c45", path)
 
 
-def _super_resolution(path: str) -> dict[str, str]:
+def _super_resolution(path: str) -> dict[str, Any]:
     return _github("amirDahari1/SuperRes", "b8e1a1ebcedc306ee23bc3f1fd7193a00bcf07fa", path)
 
 
-_BONE = {"kind": "labels", "spacing": 0.05, "unit": "mm", "phases": _VOID_SOLID}
+_BONE: dict[str, Any] = {"kind": "labels", "spacing": 0.05, "unit": "mm", "phases": _VOID_SOLID}
 _BONEBOX = "BSD-3-Clause (BoneBox)"
 _LI = "CC-BY-4.0 (Li et al. 2018, Scientific Reports; through MCRpy)"
 
@@ -271,6 +272,6 @@ DATA_SETS = {
 }
 
 
-def datasets() -> dict[str, str]:
+def datasets() -> dict[str, Any]:
     """Return the names of the published data sets that `fetch` takes, and a summary of each."""
     return {name: one.summary for name, one in DATA_SETS.items()}
