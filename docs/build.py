@@ -7,7 +7,8 @@ this.
 that passed and have not changed since are left out (steps/cache.py), unless `--fresh` is given. A
 page whose example fails says so, the rest is built, and the exit status is 1.
 3. The pictures of the gallery (steps/pictures.py), and the live page (steps/live.py).
-4. sphinx-build with warnings as errors, into docs/_build/html.
+4. sphinx-build with warnings as errors, into docs/_build/html; then every link of the site is
+followed, and what it would load from elsewhere is a fault.
 
 With names of pages as arguments (`docs/build.py howto/formats.md`) only those pages' examples are
 run and nothing is built; with `gallery` only the pictures are drawn, with `strip`
@@ -24,7 +25,7 @@ import sys
 import time
 from pathlib import Path
 
-from steps import examples, live, pages, pictures, strip
+from steps import examples, links, live, pages, pictures, strip
 from steps.cache import ExampleCache
 
 DOCS = Path(__file__).resolve().parent
@@ -111,6 +112,9 @@ def sphinx() -> int:
     ]
     command += [str(DOCS), str(out)]
     status = subprocess.run(command, check=False).returncode
+    for fault in links.check(out.resolve()):
+        status = 1
+        print(fault, file=sys.stderr)
     print(f"docs: {out / 'index.html'}" if status == 0 else "docs: Sphinx found faults, see above")
     return status
 
