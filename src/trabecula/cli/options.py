@@ -283,6 +283,24 @@ def _load_orientation(value: str) -> Any:
         return fabric(load(value, threshold="auto")).directions[0].tolist()
 
 
+def note_directions(values: Any, mask: Any, *, degrees: float = 45.0) -> dict[str, int]:
+    """Say where a field of directions has poles and jumps, and return their numbers."""
+    from trabecula.cli import terminal
+    from trabecula.core.directions import find_jumps, list_places
+
+    poles, jumps = ~values.any(axis=-1), find_jumps(values, mask, degrees=degrees)
+    if mask is not None:
+        poles &= mask
+    if poles.any():
+        terminal.note(f"no direction at {poles.sum()} voxels{list_places(poles)}")
+    if jumps.any():
+        terminal.note(
+            f"the direction turns by more than {degrees:g} degrees from voxel to voxel at "
+            f"{jumps.sum()} of {jumps.size}{list_places(jumps)}: material there follows neither"
+        )
+    return {"poles": int(poles.sum()), "jumps": int(jumps.sum())}
+
+
 def add_level(parser: argparse.ArgumentParser) -> None:
     """Add the extent of the measurement."""
     group = parser.add_argument_group("how much is measured")

@@ -89,7 +89,9 @@ def as_directions(given: Any, shape: tuple[int, ...] | None, *, name: str) -> np
     none = lengths <= _SHORT * lengths.max(initial=0.0)
     if field.ndim == 1 and none.all():
         raise InputError(f"{name} is 0 along every axis: give a direction, such as 0 0 1")
-    return np.where(none, 0.0, field / np.where(none, 1.0, lengths)).astype(np.float32)
+    # unit vectors stay as they are to the last bit, so that a field read again is the same
+    factor = np.where(np.abs(lengths - 1) < 1e-6, 1.0, np.where(none, 1.0, lengths))
+    return np.where(none, 0.0, field / factor).astype(np.float32)
 
 
 def check_poles(directions: np.ndarray, mask: np.ndarray | None, *, name: str) -> None:
