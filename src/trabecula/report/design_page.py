@@ -119,7 +119,7 @@ def design_page(
             _stiffness(report, asked),
             _peaks(report, scale),
             _weakest(places, image, scale),
-            gallery(pictures),
+            gallery(pictures, title="Where it is stressed"),
             _reading(scale),
             json_details("Figures as JSON", {**report, "asked": list(asked or ())}),
             json_details("Part: recipe", image.recipe.to_json()),
@@ -150,14 +150,19 @@ def _stiffness(report: Mapping[str, Any], asked: Sequence[float] | None) -> str:
     for n, (got, solid) in enumerate(pairs):
         cells = [str(n + 1), number(got / solid)]
         if asked is not None:
-            cells += [number(asked[n]), f"{got / solid / asked[n] - 1:+.0%}"]
+            cells += [number(asked[n]), number(got / solid / asked[n])]
         rows.append("<tr>" + "".join(f'<td class="n">{cell}</td>' for cell in cells) + "</tr>")
-    heads = ["load case", "got", *(["asked", "difference"] if asked is not None else [])]
+    heads = ["load case", "got", *(["asked", "got / asked"] if asked is not None else [])]
     head = "".join(f'<th class="n">{text}</th>' for text in heads)
     return (
         "<h2>Compliance</h2>"
         '<p class="soft">Work of the loads, over that of the same form filled with solid.'
-        + (" Asked: of the design's density, with its law of stiffness." if asked else "")
+        + (
+            " Asked: of the design, whose elements are as stiff as density^penalty; with penalty 1 "
+            "no porous material reaches that."
+            if asked
+            else ""
+        )
         + f'</p><table class="groups"><thead><tr>{head}</tr></thead>'
         f"<tbody>{''.join(rows)}</tbody></table>"
     )
