@@ -58,6 +58,8 @@ class Part:
     case: dict[str, Any]
     mask: Callable[[], np.ndarray]
     """Elements, (Z, Y, X) bool."""
+    pads: tuple[tuple[slice, ...], ...] = ()
+    """Where it is held and pushed: voxels that are solid, as of any machine's part."""
 
 
 def _bracket() -> np.ndarray:
@@ -80,6 +82,7 @@ def _spot() -> np.ndarray:
     return np.ascontiguousarray(form.transpose(1, 0, 2))
 
 
+_WHOLE, _END, _ARM = slice(None), slice(-3, None), slice(0, 20)
 _ALL, _FIRST, _LAST = (0.0, 1.0), (0.0, 0.0), (1.0, 1.0)
 
 PARTS = {
@@ -90,6 +93,7 @@ PARTS = {
             "loads": [{"box": [_ALL, _ALL, _LAST], "force": (-1, 0, 0)}],
         },
         lambda: np.ones((16, 8, 30), bool),
+        ((_WHOLE, _WHOLE, slice(0, 3)), (_WHOLE, _WHOLE, _END)),
     ),
     "bracket": Part(
         {
@@ -98,6 +102,7 @@ PARTS = {
             "loads": [{"box": [(0.0, 0.36), _ALL, _LAST], "force": (-1, 0, 0)}],
         },
         _bracket,
+        ((_END, _WHOLE, _ARM), (_ARM, _WHOLE, _END)),
     ),
     "spot": Part(
         {
@@ -106,6 +111,7 @@ PARTS = {
             "loads": [{"box": [(0.55, 1.0), _ALL, _ALL], "normal": (1, 0, 0), "force": (-1, 0, 0)}],
         },
         _spot,
+        ((slice(0, 4), _WHOLE, _WHOLE),),
     ),
 }
 
@@ -118,7 +124,7 @@ def design() -> None:
     that of material without a direction (lengths alike, of the same volume), and of the same long
     material that points one way everywhere.
 
-    Solid is .35 of the form, .2 to .6 by the design; twice as many voxels as elements along an
+    Solid is .2 to .6 by the design, .35 in the mean, and all of it where the part is held or pushed; twice as many voxels as elements along an
     axis. `loose`: share of the solid that no support holds.
     """
     row = table("part", "material", "compliance", "solid", "loose", "per mass", "ratio", "seconds")
@@ -137,6 +143,8 @@ def design() -> None:
         wanted = fields.resample(density, form.shape).values
         # Outside of the form the density is 0, which linear interpolation would carry inside.
         wanted = np.where(form, np.clip(wanted, limits["low"], 1), limits["low"])
+        for pad in part.pads:
+            wanted[pad] = 1
         axis = np.eye(3)[int(np.argmax(form.shape))]
         whole = 0.0
         for material, length, direction in (

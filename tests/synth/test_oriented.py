@@ -191,3 +191,23 @@ def test_a_method_without_it_refuses_by_name():
     model = tb.method("quilt", patch=8).fit(tb.crop(tb.sample("bone"), 32))
     with pytest.raises(RequestError, match="cannot honour the target orientation, size"):
         model.generate(24, target={"orientation": (0, 0, 1), "size": 2.0})
+
+
+def test_a_form_too_thin_for_the_size_is_refused():
+    mask = np.zeros((16, 16, 16), bool)
+    mask[:, :, 6:9] = True
+    for name in ("lattice", "bubbles"):
+        with pytest.raises(RequestError, match="too thin: it is 4.0 voxels thick at most"):
+            tb.method(name).fit(spacing=1.0).generate(16, target={"size": 1.5}, mask=mask)
+
+
+def test_fractions_that_are_more_than_all_contradict():
+    field = np.full((8, 8, 8), 0.5, np.float32)
+    field[1, 2, 3] = 0.8
+    for target in (
+        {"volume_fraction:a": field, "volume_fraction:b": 0.4},
+        {"volume_fraction:a": field, "porosity": 0.4},
+    ):
+        with pytest.raises(tb.errors.InputError, match=r"contradict .* z y x 1 2 3"):
+            tb.Request(8, target=target)
+    tb.Request(8, target={"volume_fraction:a": 0.6, "porosity": 0.4, "volume_fraction:void": 0.4})

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.checks import check_finite, check_name, quote
-from trabecula.core.directions import Directions, as_directions
+from trabecula.core.directions import Directions, as_directions, list_places
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
@@ -59,7 +59,28 @@ def as_target(given: Mapping[str, Any], shape: tuple[int, ...]) -> dict[str, Tar
         raise InputError(
             "the target has porosity and volume_fraction, which is 1 - porosity: give one of them"
         )
+    _check_sum(found)
     return found
+
+
+def _check_sum(found: Mapping[str, Target]) -> None:
+    """Raise where the fractions of phases are more than all there is."""
+    shares = {name: value for name, value in found.items() if name.startswith(OF_A_PHASE)}
+    solid = {name: value for name, value in shares.items() if name != f"{OF_A_PHASE}void"}
+    porosity, rest = porosity_of(found), "all there is"
+    room: Target = 1.0
+    if porosity is not None:
+        shares, room, rest = solid, 1 - porosity, "what porosity or volume_fraction leaves"
+    if not shares:
+        return
+    more = np.asarray(sum(np.asarray(value, np.float64) for value in shares.values()) - room)
+    if more.max() > 1e-5:
+        named = ", ".join(shares)
+        at = "" if not more.ndim else list_places(more > 1e-5)
+        raise InputError(
+            f"the targets contradict each other: {named} together are {more.max():.4g} more than "
+            f"{rest}{at}; lower one of them"
+        )
 
 
 def is_target(name: Any) -> bool:

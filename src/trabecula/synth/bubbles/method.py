@@ -29,6 +29,7 @@ from trabecula.synth.bubbles.growth_law import Law, distance_of, law_of
 from trabecula.synth.bubbles.kernels import BLOCK
 from trabecula.synth.bubbles.particles import grow_request, particle_stages
 from trabecula.synth.bubbles.porosity_level import Arrivals, arrivals_of, level_stages
+from trabecula.synth.shared.frames import check_room
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _TABLES = 200_000  # bytes of tables and the recipe
@@ -270,6 +271,9 @@ class BubblesModel(WindowModel):
                 )
         if "size" in request.target and self.found.growth == "particles":
             raise RequestError("particles are of one size: leave size out, or set growth to fronts")
+        if len(request.shape) == 3:
+            spacing, length = self._lengths(request)
+            check_room(request.mask, length / spacing[0], what="distance between bubbles")
 
     def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
         masked = request.mask is not None

@@ -21,6 +21,7 @@ from trabecula.synth.api.windows import WindowModel, field_in
 from trabecula.synth.lattice import CAPABILITIES
 from trabecula.synth.lattice.config import NAMES, STRUTS, SURFACES, LatticeConfig
 from trabecula.synth.lattice.mapping import CellMap, cell_map
+from trabecula.synth.shared.frames import check_room
 
 _LEAST, _USUAL = 4, 16  # voxels of a cell's edge
 # From the middles of the voxels, in voxels: a lattice whose mirror planes went through them would
@@ -116,6 +117,7 @@ class LatticeModel(WindowModel):
                 f"the target size makes cells of {least / self.facts[0].spacing[0]:.3g} voxels: "
                 f"give {_LEAST} or more, or a larger cell_size"
             )
+        check_room(request.mask, least / self.facts[0].spacing[0], what="edge of a cell")
 
     def _map(self, request: Request) -> CellMap:
         """Return the coordinates of cells that follow the request's field; the latest are kept."""

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trabecula.core.errors import RequestError
 from trabecula.core.target import Target
 from trabecula.engine.compile import kernel
+from trabecula.measure.distance import distance_transform
 from trabecula.measure.fabric import spread_directions
 
 _FEW = 12  # different directions that are taken as they are
@@ -111,6 +113,31 @@ def _sizes_of(given: Target | None) -> np.ndarray:
     low, high = float(np.min(given)), float(np.max(given))
     steps = int(np.ceil(np.log(high / low) / np.log(_STEP) - 1e-9)) if high > low else 0
     return np.geomspace(low, high, steps + 1)
+
+
+def check_room(mask: np.ndarray | None, least: float, *, what: str) -> None:
+    """Raise where a form is nowhere as thick as what is to fill it.
+
+    Parameters
+    ----------
+    mask : (Z, Y, X) bool array, optional
+    least : float
+        Size of the smallest unit that is to fit, in voxels.
+    what : str
+        Its name.
+
+    Raises
+    ------
+    RequestError
+    """
+    if mask is None or mask.all():
+        return
+    widest = 2 * float(distance_transform(mask, spacing=(1.0,) * mask.ndim).max())
+    if widest < least:
+        raise RequestError(
+            f"the form is too thin: it is {widest:.1f} voxels thick at most, and the smallest "
+            f"{what} is {least:.1f}; ask for a smaller size, or make the form of more voxels"
+        )
 
 
 def turn_onto(start: np.ndarray, direction: np.ndarray) -> np.ndarray:
