@@ -38,7 +38,9 @@ def test_every_direction_has_a_frame_and_few_stay_as_they_are():
     assert frames_of(target, 60).directions.tolist() == [[0, 0.6, 0.8]]
     ways = np.random.default_rng(0).normal(size=(8, 8, 8, 3))
     ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
-    frames = frames_of({"orientation": ways, "size": np.geomspace(0.5, 2, 512).reshape(8, 8, 8)}, 60)
+    frames = frames_of(
+        {"orientation": ways, "size": np.geomspace(0.5, 2, 512).reshape(8, 8, 8)}, 60
+    )
     total = sum(
         frames.weights(n, ways, np.geomspace(0.5, 2, 512).reshape(8, 8, 8))
         for n in range(frames.count)
@@ -197,7 +199,7 @@ def test_a_form_too_thin_for_the_size_is_refused():
     mask = np.zeros((16, 16, 16), bool)
     mask[:, :, 6:9] = True
     for name in ("lattice", "bubbles"):
-        with pytest.raises(RequestError, match="too thin: it is 4.0 voxels thick at most"):
+        with pytest.raises(RequestError, match=r"too thin: it is 4\.0 voxels thick at most"):
             tb.method(name).fit(spacing=1.0).generate(16, target={"size": 1.5}, mask=mask)
 
 

@@ -255,7 +255,7 @@ def _save_directions(values: Any, path: str, *, name: str) -> None:
 
     if Path(path).suffix != ".npy":
         raise InputError(f"{name} {path}: directions are written as .npy")
-    with replacing(Path(path)) as temporary, open(temporary, "wb") as file:
+    with replacing(Path(path)) as temporary, temporary.open("wb") as file:
         np.save(file, values)
 
 
@@ -454,7 +454,7 @@ def _add_stress(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--density",
         metavar="FILE",
-        help="with --html: the design that the part follows (field simp), whose compliance is asked",
+        help="with --html: the design that the part follows (field simp): its compliance is asked",
     )
     parser.add_argument(
         "--modulus",

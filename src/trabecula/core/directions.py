@@ -79,7 +79,7 @@ def as_directions(given: Any, shape: tuple[int, ...] | None, *, name: str) -> np
             f"{name} has shape {field.shape}: give vectors (z, y, x) of shape {wanted}, the "
             "components last"
         )
-    wrong = ~np.isfinite(field).all(axis=-1)
+    wrong = np.asarray(~np.isfinite(field).all(axis=-1))
     if wrong.any():
         raise InputError(
             f"{name} is NaN or infinite at {np.count_nonzero(wrong)} of {wrong.size} places"
@@ -104,7 +104,7 @@ def check_poles(directions: np.ndarray, mask: np.ndarray | None, *, name: str) -
     """
     if directions.ndim == 1:
         return
-    poles = ~directions.any(axis=-1)
+    poles = np.asarray(~directions.any(axis=-1))
     if mask is not None:
         poles &= mask
     if poles.any():

@@ -18,7 +18,7 @@ from trabecula.report.design_page import design_page, part_scale
 from trabecula.report.page import write_page
 from trabecula.view.still import render
 
-_VIEWS = {
+_VIEWS: dict[str, dict[str, Any]] = {
     "From the front right": {"camera": (32.0, 26.0), "cut": "none"},
     "From the back left, below": {"camera": (212.0, -26.0), "cut": "none"},
     "Cut through the middle": {"camera": (32.0, 26.0), "cut": "y=0.5"},

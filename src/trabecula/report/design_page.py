@@ -138,9 +138,7 @@ def _about(image: Image, report: Mapping[str, Any]) -> str:
         else "; all of the solid is held"
     )
     share = f", {report['fraction']:.1%} of the form is solid" if "fraction" in report else ""
-    return (
-        f'<p class="about">{voxels} voxels, {extent} {escape(image.unit)}{share}{loose}</p>'
-    )
+    return f'<p class="about">{voxels} voxels, {extent} {escape(image.unit)}{share}{loose}</p>'
 
 
 def _stiffness(report: Mapping[str, Any], asked: Sequence[float] | None) -> str:
@@ -200,11 +198,11 @@ def _weakest(places: Sequence[WeakPlace], image: Image, scale: PartScale | None)
         at = " ".join(
             f"{(k + 0.5) * edge:.4g}" for k, edge in zip(one.voxel, image.spacing, strict=True)
         )
-        cells = (" ".join(map(str, one.voxel)), at, number(one.thickness))
-        cells += (number(one.thickness / min(image.spacing)), number(one.stress * factor))
+        cells = [" ".join(map(str, one.voxel)), at, number(one.thickness)]
+        cells += [number(one.thickness / min(image.spacing)), number(one.stress * factor)]
         rows.append("<tr>" + "".join(f'<td class="n">{cell}</td>' for cell in cells) + "</tr>")
-    heads = ("voxel z y x", f"place z y x ({unit})", f"thickness ({unit})", "in voxels")
-    heads += ("stress" if scale is None else "stress (MPa)",)
+    heads = ["voxel z y x", f"place z y x ({unit})", f"thickness ({unit})", "in voxels"]
+    heads += ["stress" if scale is None else "stress (MPa)"]
     head = "".join(f'<th class="n">{text}</th>' for text in heads)
     return (
         "<h2>Weakest struts</h2>"
@@ -224,7 +222,7 @@ def _reading(scale: PartScale | None) -> str:
     )
     return (
         f'<h2>Reading it</h2><ul class="notes"><li>{units}</li>'
-        f"<li>Effective strain: sqrt(2 U / E). Bone fails about where 2 % of it exceeds {YIELD:.1%} "
+        f"<li>Effective strain: sqrt(2 U / E). Bone fails where 2 % of it exceeds {YIELD:.1%} "
         "(Pistoia 2002).</li>"
         "<li>Bricks of a voxel are too stiff in bending where struts are one or two voxels thick, "
         "and stress at the steps of a surface is not resolved: compare parts of one resolution, "

@@ -173,7 +173,7 @@ class _Gradient(LinearSystem):
             (2 - 2 * np.cos(np.pi * np.arange(n) / n)) / step**2
             for n, step in zip(counts, steps, strict=True)
         ]
-        self.waves = sum(np.ix_(*waves))
+        self.waves = np.asarray(sum(np.ix_(*waves)))
         self.waves[0, 0, 0] = 1.0
 
     def apply(self, vector: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -54,9 +55,9 @@ def principal_axis(part: Filter) -> np.ndarray:
     if values[0] > _ROUND * values[1]:
         raise RequestError(
             "the target orientation turns the longest direction of the material, and this one has "
-            f"none (its slopes along the first two axes are as {math.sqrt(values[0] / values[1]):.2f}"
-            " to 1): give length three numbers, one longer than the others, cones, or an exemplar "
-            "with a direction"
+            f"none (slopes along its first two axes are {math.sqrt(values[0] / values[1]):.2f} to "
+            "1): give length three numbers, one longer than the others, cones, or an exemplar with "
+            "a direction"
         )
     return np.asarray(vectors[:, 0])
 
@@ -109,7 +110,7 @@ class TurnedField:
         return height > least
 
     def _weights(
-        self, number: int, ways: np.ndarray | None, sizes: np.ndarray | None, at: tuple[object, ...]
+        self, number: int, ways: np.ndarray | None, sizes: np.ndarray | None, at: tuple[Any, ...]
     ) -> np.ndarray:
         parts = [
             one if one is None or one.ndim == last else one[at]

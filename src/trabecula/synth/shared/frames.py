@@ -53,7 +53,7 @@ class Frames:
     def weights(self, number: int, ways: np.ndarray | None, sizes: np.ndarray | None) -> np.ndarray:
         """Return how much a frame counts at places with directions (..., 3) and sizes (...)."""
         which, size = divmod(number, len(self.sizes))
-        found = np.ones(1)
+        found: np.ndarray = np.ones(1)
         if ways is not None:
             a, b, c = (float(part) for part in self.directions[which])
             cosine = ways[..., 0] * a + ways[..., 1] * b + ways[..., 2] * c
@@ -83,7 +83,7 @@ def _directions_of(given: Target | None, count: int) -> tuple[np.ndarray, float]
     """Return the directions that stand for those of a field, and their reach."""
     if given is None:
         return np.empty((0, 3)), 0.0
-    ways = np.asarray(given, np.float64).reshape(-1, 3)
+    ways: np.ndarray = np.asarray(given, np.float64).reshape(-1, 3)
     ways = ways[ways.any(axis=1)]
     lead = np.take_along_axis(ways, (np.abs(ways) > 1e-6).argmax(axis=1)[:, None], axis=1)
     several = np.unique(np.round(ways * np.sign(lead), 4), axis=0)
