@@ -160,7 +160,7 @@ def design() -> None:
                     lambda m=made, c=case, f=form: fields.part_stress(m, c, mask=f)
                 )
             except tb.errors.InputError as error:
-                row(name, material, str(error)[:40], *"-----", "-")
+                row(name, material, str(error)[:40], *"----", "-")
                 continue
             told = found.recipe.steps[-1]["report"]
             compliance = told["compliance"][0] / told["solid_compliance"][0]

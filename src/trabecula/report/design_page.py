@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
+import numpy as np
+
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
-from trabecula.core.image import Image
+from trabecula.core.image import Image, with_values
 from trabecula.io.units import has_length, to_metres
+from trabecula.measure.phases import indicator
 from trabecula.measure.thickness import local_thickness
 from trabecula.report.page import Pictures, document, gallery, json_details
 from trabecula.report.summary_text import number
@@ -75,7 +78,10 @@ def weak_places(image: Image, stress: Image) -> list[WeakPlace]:
         As `part_stress` returns it.
     """
     step = stress.recipe.steps[-1]
-    thick = local_thickness(image, phase=step["settings"]["phase"])
+    solid = indicator(image, step["settings"]["phase"])[1]
+    # a part ends at the faces of its grid
+    around = with_values(image, np.pad(solid, 1).view(np.uint8), phases=("void", "solid"))
+    thick = local_thickness(around, phase="solid")[1:-1, 1:-1, 1:-1]
     found = []
     for place in step["report"]["weakest"]:
         z, y, x = (int(k) for k in place)

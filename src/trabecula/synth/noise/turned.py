@@ -25,7 +25,7 @@ from trabecula.engine.gaussian_random import quantiles
 from trabecula.engine.memory import Array, Stage, within
 from trabecula.synth.api.windows import field_in
 from trabecula.synth.noise.covariance import MOST_REACH
-from trabecula.synth.shared.frames import Frames, frames_of, turn_onto, turn_values
+from trabecula.synth.shared.frames import TargetFrames, frames_of, turn_onto, turn_values
 from trabecula.synth.shared.gaussian.domain import domain_of
 from trabecula.synth.shared.gaussian.field import WHITE, GaussianField, integer_filter
 from trabecula.synth.shared.gaussian.filters import Filter
@@ -67,14 +67,14 @@ class TurnedField:
 
     Attributes
     ----------
-    frames : Frames
+    frames : TargetFrames
     field : GaussianField
         A filter a frame.
     """
 
     def __init__(self, part: Filter, request: Request) -> None:
         frame = frame_of(request.target)
-        self.frames: Frames = frames_of(frame, DIRECTIONS)
+        self.frames: TargetFrames = frames_of(frame, DIRECTIONS)
         self.field = GaussianField(_turned_filters(part, self.frames, turns=bool(frame)))
         self.products = _products(self.field.filters)
 
@@ -194,7 +194,7 @@ def _products(filters: Sequence[Filter]) -> np.ndarray:
     return total * float(np.mean(table**2))
 
 
-def _sides(part: Filter, frames: Frames, *, turns: bool) -> tuple[int, ...]:
+def _sides(part: Filter, frames: TargetFrames, *, turns: bool) -> tuple[int, ...]:
     """Return the sides of the turned filters."""
     if not turns:
         return part.values.shape
@@ -210,7 +210,7 @@ def _sides(part: Filter, frames: Frames, *, turns: bool) -> tuple[int, ...]:
     return found
 
 
-def _turned_filters(part: Filter, frames: Frames, *, turns: bool) -> list[Filter]:
+def _turned_filters(part: Filter, frames: TargetFrames, *, turns: bool) -> list[Filter]:
     """Return the filter in every frame, each of the same power."""
     if not turns:
         return [part]

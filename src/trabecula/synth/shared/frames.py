@@ -22,8 +22,8 @@ _STEP = 1.25  # from one size to the next
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
-    """Frames of a target, and how much each of them counts at a place.
+class TargetFrames:
+    """TargetFrames of a target, and how much each of them counts at a place.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Frames:
         return np.asarray(found)
 
 
-def frames_of(target: Mapping[str, Target], count: int) -> Frames:
+def frames_of(target: Mapping[str, Target], count: int) -> TargetFrames:
     """Return the frames of a target's "orientation" and "size".
 
     Parameters
@@ -76,7 +76,7 @@ def frames_of(target: Mapping[str, Target], count: int) -> Frames:
         Directions that stand for all of half a sphere.
     """
     directions, reach = _directions_of(target.get("orientation"), count)
-    return Frames(directions, _sizes_of(target.get("size")), reach)
+    return TargetFrames(directions, _sizes_of(target.get("size")), reach)
 
 
 def _directions_of(given: Target | None, count: int) -> tuple[np.ndarray, float]:
