@@ -34,7 +34,7 @@ def oriented() -> None:
     volume fraction beside the .4 that was asked for; seconds of the processor.
     """
     row = table("method", "field", "angle", "largest", "fraction off", "parts", "seconds")
-    for name in asked("methods") or MATERIALS:
+    for name in asked("METHODS") or MATERIALS:
         model = tb.method(name, **MATERIALS[name]).fit(spacing=1.0)
         for what, formulas in FIELDS.items():
             ways = fields.direction_formula(SHAPE, formulas)
@@ -129,7 +129,7 @@ def design() -> None:
     holds.
     """
     row = table("part", "material", "compliance", "solid", "loose", "per mass", "ratio", "seconds")
-    for name in asked("only") or PARTS:
+    for name in asked("ONLY") or PARTS:
         part = PARTS[name]
         mask = part.mask()
         case = fields.case(part.case)
