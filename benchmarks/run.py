@@ -41,6 +41,7 @@ import intervals
 import networks
 import noise
 import novelty_blind
+import oriented
 import papers
 import photographs
 import printing
@@ -129,6 +130,8 @@ CASES: dict[str, Callable[[], None]] = {
     "graded_bone": graded.graded_bone,
     "graded_seams": graded.graded_seams,
     "graded_speed": graded.graded_speed,
+    "oriented": oriented.oriented,
+    "design": oriented.design,
     "bubbles_fit": bubbles_fit.bubbles_fit,
     "noise": noise.noise,
     "bubbles_table": bubbles.bubbles_table,
