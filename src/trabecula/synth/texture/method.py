@@ -405,7 +405,11 @@ class TextureModel(Model):
         self, request: Request, around: Sequence[Region] = ()
     ) -> novel_layout.NovelRounds:
         schedule = novel_layout.passes(
-            self.novelty, self.top, self.config.layout, beside=request.fixed is not None
+            self.novelty,
+            self.top,
+            self.config.layout,
+            beside=request.fixed is not None,
+            short=self.config.short,
         )
         aims, slices = self.aims, self.slices
         if request.target:
