@@ -52,8 +52,8 @@ class TextureConfig:
     schedule: str = "long"
     """What new material with the layout "structure" spends. "long": steps on the two-point function
     in a direction for every band of distances, as recipes and models have it that do not name it.
-    "short": a third of the time; steps in three directions, on the torus, fewer sliced rounds,
-    sweeps and tries."""
+    "short": about a third of the time, with more handles; steps in one direction, on the torus,
+    fewer sliced rounds, sweeps and tries."""
 
     first_rounds: int = 20
     """Rounds of search and vote on the coarsest level, which starts from random patches, 1 .. 100

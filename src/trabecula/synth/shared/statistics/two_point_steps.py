@@ -258,14 +258,12 @@ def longest_wave(target: Correlations) -> int:
     return target.waves.widths[-1] if target.waves is not None and target.waves.widths else 0
 
 
-def split_into_bands(
-    push: np.ndarray, r: np.ndarray, starts: tuple[int, ...] = BANDS
-) -> list[np.ndarray]:
+def split_into_bands(push: np.ndarray, r: np.ndarray) -> list[np.ndarray]:
     """Split a push at the distance of every bin into one array a band, scaled to its largest; bands
     without any are left out.
     """
     bands = []
-    for low, high in zip(starts, (*starts[1:], len(push)), strict=True):
+    for low, high in zip(BANDS, (*BANDS[1:], len(push)), strict=True):
         part = np.where((r >= low) & (r < high), push, 0.0)
         if part.any():
             bands.append(part / np.abs(part).max())
