@@ -30,6 +30,7 @@ import fusion
 import gan
 import gan_ablation
 import graded
+import graded_bone
 import image
 import image_figures
 import image_paper
@@ -121,6 +122,7 @@ CASES: dict[str, Callable[[], None]] = {
     "graded_cells": graded.graded_cells,
     "graded_section": graded.graded_section,
     "graded_bone": graded.graded_bone,
+    "graded_bone_fields": graded_bone.graded_bone_fields,
     "graded_seams": graded.graded_seams,
     "graded_speed": graded.graded_speed,
     "bubbles_fit": bubbles_fit.bubbles_fit,
