@@ -236,6 +236,16 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         """List the names of the stages, coarsest first."""
         return [f"level {index} width {number}" for index, number in self.places]
 
+    @property
+    def costs(self) -> list[float]:
+        """List rounds times voxels of the stages."""
+        return [self._rounds(index) / 8**index for index, _ in self.places]
+
+    def _rounds(self, index: int) -> int:
+        """Return the rounds on a level."""
+        coarsest = index == len(self.levels) - 1
+        return self.config.first_rounds if coarsest else at_level(self.config.rounds, index)
+
     def open_stage(self, place: int) -> GridStage:
         """Prepare the grid of a stage."""
         index, number = self.places[place]
@@ -251,7 +261,7 @@ class ExemplarRounds(CoarseToFine[GridStage]):
             grid, fractions = guide_grid(grid, self.fractions[index], index)
         needed = index + (number < len(self.levels[index]) - 1)
         del self.regions[needed:], self.fractions[needed:]
-        rounds = config.first_rounds if coarsest else at_level(config.rounds, index)
+        rounds = self._rounds(index)
         grain = not self.distances and config.field != "indicator" and not config.energetic
         trims = trim_schedule(
             rounds, config.trim, width=candidates.basis.width, step=candidates.step, grain=grain
