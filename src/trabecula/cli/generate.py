@@ -44,7 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="instead of all else: resume the interrupted run that makes FILE; what it started "
         "from is looked for "
-        "where it was, or given with --exemplar, --model, --mask, --fixed, --known, --coarse",
+        "where it was, or given with --exemplar, --model, --mask, --fixed, --known, --coarse, "
+        "--like",
     )
     group.add_argument(
         "--exemplar",
@@ -396,7 +397,7 @@ def _generate_members(options: argparse.Namespace) -> int:
     return 0
 
 
-_MOVED = ("exemplar", "mask", "fixed", "known", "coarse", "model")
+_MOVED = ("exemplar", "mask", "fixed", "known", "coarse", "like", "model")
 
 
 def _resume(options: argparse.Namespace) -> Any:

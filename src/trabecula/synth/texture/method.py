@@ -26,6 +26,7 @@ from trabecula.core.seeds import generator
 from trabecula.engine.memory import Stage, forecast, resident
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.method import Method, Model
+from trabecula.synth.shared import novel_layout
 from trabecula.synth.shared.coarse_to_fine import levels_for, levels_that_fit
 from trabecula.synth.shared.content.fields import FULL, channels_of, isotropic_scale, quantise
 from trabecula.synth.shared.content.kinds import Content, Labels, content_of, free_voxels
@@ -44,7 +45,7 @@ from trabecula.synth.shared.statistics.density_slopes import (
 )
 from trabecula.synth.shared.statistics.slices import SliceTarget
 from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
-from trabecula.synth.texture import CAPABILITIES, novel_layout
+from trabecula.synth.texture import CAPABILITIES
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.exemplar_rounds import (
     ExemplarRounds,
