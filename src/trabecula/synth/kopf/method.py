@@ -28,14 +28,13 @@ from trabecula.synth.kopf.relative_model import RelativeModel
 from trabecula.synth.kopf.sharpening import sharpen, sharpening_stages
 from trabecula.synth.shared.content.fields import phases_present
 from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.content.kinds import Labels
 from trabecula.synth.shared.matching.planes import RegionViews
-from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.pyramid import fit_to
 from trabecula.synth.shared.slabs import make_by_slabs
 from trabecula.synth.shared.solid.method import Solid
 from trabecula.synth.shared.solid.model import SolidModel
 from trabecula.synth.shared.solid.run import SolidRounds, SolidStage
-from trabecula.synth.shared.stages import value_stages
 
 _BINS = 16
 
@@ -79,9 +78,8 @@ class KopfModel(SolidModel):
         lays out.
         """
         if request.like is not None:
-            relative = self._relative(request)
-            values = self.content.to_values(relative.votes(request), request)
-            return values, {"like": relative.adapted.report}
+            assert isinstance(self.content, Labels)  # checked with the request
+            return self._relative(request).make(request, self.content)
         if request.coarse is None:
             return super().make(request)
         pictures, present = self._phases()
@@ -127,21 +125,10 @@ class KopfModel(SolidModel):
 
     def _stages(self, request: Request, *, mapped: bool = False) -> tuple[Stage, ...]:
         if request.like is not None:
-            return self._relative_stages(request, mapped=mapped)
+            nbytes = self.output_bytes(request)
+            return self._relative(request).stages(request, nbytes=nbytes, mapped=mapped)
         found = super()._stages(request, mapped=mapped)
         return found if request.coarse is None else (*found, *sharpening_stages(request.shape))
-
-    def _relative_stages(self, request: Request, *, mapped: bool) -> tuple[Stage, ...]:
-        """Declare the arrays of a run beside a relative."""
-        relative = self._relative(request)
-        rounds = relative.rounds(request)
-        last = relative.aims[0].candidates[-1]
-        covered = Region(rounds.shapes[0], (True,) * 3).cover(box=last.basis.box, steps=last.steps)
-        nbytes = self.output_bytes(request)
-        return (
-            *rounds.stages(mapped=mapped),
-            *value_stages(request, covered.shape, 1, nbytes=nbytes, distances=True),
-        )
 
     def _fixed(self) -> dict[str, int]:
         held = 0 if self._learnt is None else self._learnt[1].nbytes

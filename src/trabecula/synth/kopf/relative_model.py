@@ -9,21 +9,31 @@ in a plane are not those in space, so soft functions of the two are not alike, t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from trabecula.core.errors import RequestError
 from trabecula.core.request import Request
+from trabecula.engine.memory import Stage
 from trabecula.exemplar.views import View
 from trabecula.synth.kopf.config import RelativeSettings
 from trabecula.synth.kopf.relative import AdaptedRelative, SliceStatistics, adapt_relative
 from trabecula.synth.shared import novel_layout
 from trabecula.synth.shared.content.fields import quantise
-from trabecula.synth.shared.content.kinds import content_of
+from trabecula.synth.shared.content.kinds import Labels, content_of
+from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Stack
 from trabecula.synth.shared.pyramid import fit_to, halve
+from trabecula.synth.shared.small_bodies import (
+    SmallBodies,
+    body_stages,
+    learn_small_bodies,
+    settle_phases,
+)
+from trabecula.synth.shared.stages import value_stages
 from trabecula.synth.shared.statistics.pairs import LINES
 from trabecula.synth.shared.statistics.slices import SliceTarget
 from trabecula.synth.shared.statistics.two_point import Correlations
@@ -39,6 +49,7 @@ class RelativeModel:
     aims: tuple[novel_layout.Aims, ...]
     slices: SliceTarget
     schedule: tuple[novel_layout.Pass, ...]
+    small: Mapping[int, SmallBodies]
     settings: RelativeSettings
 
     @classmethod
@@ -62,7 +73,9 @@ class RelativeModel:
             learnt = novel_layout.aims_of(Stack.of([own]), [own], level, edges, schedule, settings)
             aims.append(_aim_at_picture(learnt, level, adapted))
             field = halve(field)
-        return cls(adapted, tuple(aims), novel_layout.slices_for([own]), schedule, settings)
+        small = {label: learn_small_bodies([adapted.image], label) for label in present}
+        slices = novel_layout.slices_for([own])
+        return cls(adapted, tuple(aims), slices, schedule, small, settings)
 
     @property
     def top(self) -> int:
@@ -89,9 +102,22 @@ class RelativeModel:
         roomy = replace(request, shape=tuple(max(side, self._least) for side in request.shape))
         return novel_layout.NovelRounds(self.aims, self.slices, self.schedule, roomy, self.settings)
 
-    def votes(self, request: Request) -> np.ndarray:
-        """Make the last votes (1, Z, Y, X) int16 of a request."""
-        return fit_to(novel_layout.make_novel(self.rounds(request)), request.shape)
+    def make(self, request: Request, content: Labels) -> tuple[np.ndarray, dict[str, Any]]:
+        """Return the values of a request, with the fractions of `content`, and a report."""
+        votes = fit_to(novel_layout.make_novel(self.rounds(request)), request.shape)
+        settled = settle_phases(votes, content, self.small, request, name="kopf")
+        values = content.to_values(votes, request)
+        return values, {"like": {**self.adapted.report, "small_bodies": settled}}
+
+    def stages(self, request: Request, *, nbytes: int, mapped: bool = False) -> tuple[Stage, ...]:
+        """Declare the arrays of a run whose result takes `nbytes`."""
+        rounds, last = self.rounds(request), self.aims[0].candidates[-1]
+        covered = Region(rounds.shapes[0], (True,) * 3).cover(box=last.basis.box, steps=last.steps)
+        return (
+            *rounds.stages(mapped=mapped),
+            *body_stages(request.shape, 1, known=False),
+            *value_stages(request, covered.shape, 1, nbytes=nbytes, distances=True),
+        )
 
     @property
     def nbytes(self) -> int:
