@@ -244,8 +244,14 @@ class SolidRounds(ViewRounds[SolidStage]):
                 work.adopt(f"weight{number}", equal_weights(view.grid.active))
             self.vote(stage, None)
             return
-        distances = self.model.content.distances
-        field = refine_field(before["field"], region.wraps, distances=distances, shape=region.shape)
+        content = self.model.content
+        field = refine_field(
+            before["field"],
+            region.wraps,
+            distances=content.distances,
+            features=content.features,
+            shape=region.shape,
+        )
         work.adopt("field", region.clip_to_bounds(field))
         work.adopt("votes", votes_of(field))
         coarser = self.model.levels[stage.index + 1].views
