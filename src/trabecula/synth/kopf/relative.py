@@ -34,6 +34,7 @@ _APART = 0.5  # relative l2 of the covariances along an axis, at one scale and f
 _INTERFACES = 1.5  # their ratio, either way
 _LENGTHS = 3  # correlation lengths over which covariances are compared
 _REACH = 40  # voxels
+_SLICES = 32  # of a relative along each axis, at most, whose radial function is measured
 _MIXED = 1e-3  # of a smooth copy, which orders voxels that are equally far from the interface
 
 
@@ -152,11 +153,25 @@ def statistics_of_volume(inside: np.ndarray, *, alike: bool) -> SliceStatistics:
     reach = min(_REACH, min(inside.shape) // 2)
     values = inside.view(np.uint8)
     if alike:
-        curves = [two_point(values, r_max=reach, phase=1)] * 3
+        curves = [_radial_of_slices(values, reach)] * 3
     else:
         curves = [two_point(values, r_max=reach, phase=1, axis=axis) for axis in range(3)]
     shares = [float(np.mean(np.diff(values, axis=axis) != 0)) for axis in range(3)]
     return SliceStatistics(float(inside.mean()), np.array(curves), float(np.mean(shares)))
+
+
+def _radial_of_slices(values: np.ndarray, reach: int) -> np.ndarray:
+    """Return the mean radial S2 of slices across every axis.
+
+    Not that of the volume: distances are rounded, and of pairs in a plane and of pairs in space
+    other ones fall into one bin, so that the two differ by some per cent at r = 1 .. 3.
+    """
+    curves = []
+    for axis, side in enumerate(values.shape):
+        for place in range(0, side, -(-side // _SLICES)):
+            plane = np.ascontiguousarray(values.take(place, axis))
+            curves.append(two_point(plane, r_max=reach, phase=1))
+    return np.asarray(np.mean(curves, axis=0))
 
 
 def _statistics_of_views(views: Sequence[View], label: int, *, alike: bool) -> SliceStatistics:
