@@ -81,19 +81,22 @@ function brightness(voxels, at) {
 }
 
 // A slice of labels in which hidden voxels beside drawn ones take theirs: blurring may move a surface by half a voxel.
-function spreadSlice({ voxels, shape: [depth, height, width], phases }, z, out) {
+// `values` are what is spread: the labels themselves, or a field.
+function spreadSlice({ voxels, shape: [depth, height, width], phases }, values, z, out) {
   const seen = phases.map((phase) => phase.visible), size = height * width, start = z * size;
   for (let y = 0, i = 0; y < height; y++) {
     for (let x = 0; x < width; x++, i++) {
       const at = start + i;
-      out[i] = voxels[at];
-      if (seen[voxels[at]]) continue;
-      if (z > 0 && seen[voxels[at - size]]) out[i] = voxels[at - size];
-      else if (z < depth - 1 && seen[voxels[at + size]]) out[i] = voxels[at + size];
-      else if (y > 0 && seen[voxels[at - width]]) out[i] = voxels[at - width];
-      else if (y < height - 1 && seen[voxels[at + width]]) out[i] = voxels[at + width];
-      else if (x > 0 && seen[voxels[at - 1]]) out[i] = voxels[at - 1];
-      else if (x < width - 1 && seen[voxels[at + 1]]) out[i] = voxels[at + 1];
+      let from = at;
+      if (!seen[voxels[at]]) {
+        if (z > 0 && seen[voxels[at - size]]) from = at - size;
+        else if (z < depth - 1 && seen[voxels[at + size]]) from = at + size;
+        else if (y > 0 && seen[voxels[at - width]]) from = at - width;
+        else if (y < height - 1 && seen[voxels[at + width]]) from = at + width;
+        else if (x > 0 && seen[voxels[at - 1]]) from = at - 1;
+        else if (x < width - 1 && seen[voxels[at + 1]]) from = at + 1;
+      }
+      out[i] = values[from];
     }
   }
 }
@@ -105,18 +108,22 @@ class Blocks {
     this.away = new Uint8Array(this.size[0] * this.size[1] * this.size[2]).fill(255);
   }
 
-  // A point of a block reads its voxels and one more to each side: so a voxel counts for the blocks beside it too.
-  reach(at, axis) {
-    const edge = TABLE.block;
-    return [Math.max(0, Math.floor((at - 1) / edge)), Math.min(this.size[axis] - 1, Math.floor((at + 1) / edge))];
+  copy() {
+    return Object.assign(Object.create(Blocks.prototype), { size: this.size, away: this.away.slice() });
   }
 
-  // Mark where a slice holds more than `least`.
-  add(slice, z, [, height, width], least) {
-    const [, ny, nx] = this.size, [z0, z1] = this.reach(z, 0);
-    const across = Array.from({ length: width }, (_, x) => this.reach(x, 2));
+  // A point of a block reads its voxels and one more to each side: so a voxel counts for the blocks beside it too.
+  reach(at, axis, { low = [0, 0, 0], fine = 1 }) {
+    const edge = TABLE.block * fine, place = low[2 - axis] * fine + at;
+    return [Math.max(0, Math.floor((place - 1) / edge)), Math.min(this.size[axis] - 1, Math.floor((place + 1) / edge))];
+  }
+
+  // Mark where a slice holds more than `least`; of a box of finer voxels, which begins at `low` (x, y, z).
+  add(slice, z, [, height, width], least, place = {}) {
+    const [, ny, nx] = this.size, [z0, z1] = this.reach(z, 0, place);
+    const across = Array.from({ length: width }, (_, x) => this.reach(x, 2, place));
     for (let y = 0, i = 0; y < height; y++) {
-      const [y0, y1] = this.reach(y, 1);
+      const [y0, y1] = this.reach(y, 1, place);
       for (let x = 0; x < width; x++, i++) {
         if (slice[i] <= least) continue;
         const [x0, x1] = across[x];
