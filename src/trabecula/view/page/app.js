@@ -126,10 +126,13 @@ class App {
 
   // What is at a voxel; the thickness, which takes a moment, once the pointer rests.
   read(index, voxel) {
-    const volume = this.volumes[index];
-    clearTimeout(this.reading);
-    this.say(readingOf(volume, voxel, { thick: false }));
-    this.reading = setTimeout(() => this.say(readingOf(volume, voxel)), 120);
+    clearTimeout(this.resting);
+    this.say(this.reading(index, voxel, { thick: false }));
+    this.resting = setTimeout(() => this.say(this.reading(index, voxel)), 120);
+  }
+
+  reading(index, voxel, options) {
+    return readingOf(this.volumes[index], voxel, options);
   }
 
   // The material under a place of the stage, CSS pixels.

@@ -15,13 +15,8 @@ class Drawing {
   // Everything that a lost context takes with it.
   start() {
     const { gl } = this;
-    this.program = this.link("fragment");
-    this.places = {};
-    const count = gl.getProgramParameter(this.program, gl.ACTIVE_UNIFORMS);
-    for (let i = 0; i < count; i++) {
-      const name = gl.getActiveUniform(this.program, i).name.replace("[0]", "");
-      this.places[name] = gl.getUniformLocation(this.program, name);
-    }
+    this.programs = {};
+    this.marcher([]);
     gl.bindVertexArray(gl.createVertexArray());
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     this.mean = gl.getExtension("EXT_color_buffer_float") && { width: 0, height: 0, buffer: gl.createFramebuffer(), program: this.link("showing") };
@@ -30,12 +25,25 @@ class Drawing {
     this.onProcessor = /swiftshader|llvmpipe|software/i.test(renderer);
   }
 
-  link(fragment) {
-    const { gl } = this;
+  // The program with those words defined, and the places of its uniforms.
+  marcher(words) {
+    const { gl } = this, known = this.programs[words];
+    if (known) return known;
+    const program = this.link("fragment", words), places = {};
+    const count = gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS);
+    for (let i = 0; i < count; i++) {
+      const name = gl.getActiveUniform(program, i).name.replace("[0]", "");
+      places[name] = gl.getUniformLocation(program, name);
+    }
+    return (this.programs[words] = { program, places });
+  }
+
+  link(fragment, words = []) {
+    const { gl } = this, defined = words.map((word) => `#define ${word}\n`).join("");
     const program = gl.createProgram();
     for (const [kind, id] of [[gl.VERTEX_SHADER, "vertex"], [gl.FRAGMENT_SHADER, fragment]]) {
       const shader = gl.createShader(kind);
-      gl.shaderSource(shader, document.getElementById(id).textContent.trim());
+      gl.shaderSource(shader, document.getElementById(id).textContent.trim().replace("\n", `\n${defined}`));
       gl.compileShader(shader);
       gl.attachShader(program, shader);
     }
@@ -160,8 +168,10 @@ class Drawing {
   // view: { camera, cut, look, pixel (its edge in the volume's unit), foot (free pixels below) }; `pass` from 0 on is one of
   // the refined light. `count` draws the number of samples in place of light, and to the canvas at once.
   draw(volume, [left, bottom, width, height], view, { jitter = [0, 0], blend = 1, skip = true, count = false, pass = -1 } = {}) {
-    const { gl, places } = this, { textures, fine } = volume, averaged = Boolean(this.mean) && !count;
-    gl.useProgram(this.program);
+    const { gl } = this, { textures, fine } = volume, averaged = Boolean(this.mean) && !count;
+    const wanted = { FINE: fine, FIELD: textures.tint, REFINED: pass >= 0 };
+    const { program, places } = this.marcher(Object.keys(wanted).filter((word) => wanted[word]));
+    gl.useProgram(program);
     gl.bindFramebuffer(gl.FRAMEBUFFER, averaged ? this.mean.buffer : null);
     const axes = basis(view.camera), ray = rays(volume, axes, view.camera.pan, view, width, height);
     const cut = cutOf(volume, view.cut), stretch = scaled(volume.edges, 1 / Math.min(...volume.edges));

@@ -77,8 +77,9 @@ def kept_blocks(cover: np.ndarray, block: Sequence[int]) -> np.ndarray:
         for k, here in enumerate(lines):
             before = lines[k - 1] if k else empty
             after = lines[k + 1] if k + 1 < len(lines) else empty
-            # Of two equal neighbours the first: a wall is drawn once.
-            crest = (here >= least) & (here > before) & (here >= after)
+            # Of two equal neighbours the first: a wall is drawn once, and none ends in a crest.
+            falls = here >= after if k else here > after
+            crest = (here >= least) & (here > before) & falls
             out[k] |= crest & (before.astype(np.int16) + after <= here)
     return kept
 

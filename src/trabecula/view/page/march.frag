@@ -1,6 +1,7 @@
 #version 300 es
 // The ray marcher and the light of the page: the same model as rays.py and shading.py, where it is explained.
 // Positions are in voxels (x, y, z), the corner of voxel 0 at 0; t is a length in smallest voxel edges.
+// FINE, FIELD and REFINED are defined where they are wanted: a processor that draws runs both sides of a branch.
 precision highp float;
 precision highp int;
 precision highp sampler3D;
@@ -21,7 +22,7 @@ uniform vec3 uAlbedo[16];
 uniform vec4 uFinish[16];    // roughness, specular, absorption, scattering
 uniform vec3 uRamp[10];      // sRGB 0..255, from the least to the greatest value of a field
 uniform int uKind;           // 0: one phase, 1: labels, 2: grey, 3: colour, 4: a field's colours
-uniform int uPass;           // below 0: the quick light; else the number of a pass of the refined one
+uniform int uPass;           // of the refined light
 uniform int uOnly, uLevels;
 uniform vec2 uWindow;        // greys that are drawn darkest and brightest
 uniform float uOpacity;      // below 1: absorption by a voxel of what is drawn
@@ -37,8 +38,9 @@ const float DISC = 0.14;     // half the angle under which the lamp is seen, in 
 const float SKY = 48.0;      // voxels as far as material keeps the sky out
 float samples = 0.0;
 
+#ifdef FINE
 bool isFine(vec3 p) {
-  return uFine > 0.0 && all(greaterThan(p, uFineLow)) && all(lessThan(p, uFineHigh));
+  return all(greaterThan(p, uFineLow)) && all(lessThan(p, uFineHigh));
 }
 
 // Edge of the voxels at a point, in voxels of the whole.
@@ -46,9 +48,17 @@ float grain(vec3 p) {
   return isFine(p) ? 1.0 / uFine : 1.0;
 }
 
+#else
+float grain(vec3 p) {
+  return 1.0;
+}
+#endif
+
 float field(vec3 p) {
   samples += 1.0;
+#ifdef FINE
   if (isFine(p)) return textureLod(uFineField, (p - uFineLow) / (uFineHigh - uFineLow), 0.0).r;
+#endif
   return textureLod(uField, p * uInverse, 0.0).r;
 }
 
@@ -269,22 +279,27 @@ vec3 substance(vec3 p, out vec4 finish) {
   if (uKind == 0) return uAlbedo[uOnly];
   ivec3 voxel = clamp(ivec3(floor(p)), ivec3(0), ivec3(uSides) - 1);
   if (uKind == 1) {
-    vec3 inFine = (p - uFineLow) * uFine;
-    int label = int((isFine(p) ? texelFetch(uFineSource, ivec3(inFine), 0) : texelFetch(uSource, voxel, 0)).r * 255.0 + 0.5);
+    int label = int(texelFetch(uSource, voxel, 0).r * 255.0 + 0.5);
+#ifdef FINE
+    if (isFine(p)) label = int(texelFetch(uFineSource, ivec3((p - uFineLow) * uFine), 0).r * 255.0 + 0.5);
+#endif
     finish = uFinish[label];
     return uAlbedo[label];
   }
+#ifdef FIELD
   if (uKind == 4) {
     // In the bands of a still.
     float band = (floor(texelFetch(uSource, voxel, 0).r * 255.0 / 256.0 * BANDS) + 0.5) / BANDS * 9.0;
     return toLinear(mix(uRamp[int(band)], uRamp[min(int(band) + 1, 9)], fract(band)) / 255.0);
   }
+#endif
   vec3 value = textureLod(uSource, p * uInverse, 0.0).rgb;
   if (uKind == 3) return toLinear(value);
   float bright = clamp((value.r - uWindow.x) / max(uWindow.y - uWindow.x, 1e-3), 0.0, 1.0);
   return mix(uAlbedo[0], uAlbedo[1], bright * bright);
 }
 
+#ifdef REFINED
 // One pass of the refined light: the lamp a disc, the sky by a random ray, and light that has entered the material about a
 // mean free path away from where it leaves.
 vec3 refined(vec3 p, vec3 step, vec3 normal, vec3 albedo, vec4 finish, vec3 tint) {
@@ -298,6 +313,7 @@ vec3 refined(vec3 p, vec3 step, vec3 normal, vec3 albedo, vec4 finish, vec3 tint
   }
   return reflected(albedo, finish, tint, normal, way, inner, opennessOfRay(p + 0.5 * step, normal));
 }
+#endif
 
 vec3 solid(vec3 origin) {
   vec3 normal;
@@ -308,9 +324,12 @@ vec3 solid(vec3 origin) {
   vec4 finish;
   vec3 albedo = substance(p - (uKind == 2 || uKind == 3 ? 0.5 : 0.25) * step, finish);
   vec3 tint = flatFace && uKind < 2 ? uDye : vec3(1.0);
-  if (uPass >= 0) return refined(p, step, normal, albedo, finish, tint);
+#ifdef REFINED
+  return refined(p, step, normal, albedo, finish, tint);
+#else
   float way = wayThrough(p + step, uLamp, CONE), inner = finish.w > 0.0 ? wayThrough(p - DEPTH * step, uLamp, CONE) : 0.0;
   return reflected(albedo, finish, tint, normal, way, inner, openness(p + step, normal));
+#endif
 }
 
 // Emission and absorption along the ray, lit by the gradient; nothing is hidden from the lamp.

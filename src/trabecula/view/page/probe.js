@@ -107,14 +107,18 @@ function readingOf(volume, voxel, { thick = true } = {}) {
   if (volume.kind === "labels") said.push(`${volume.phases[value]?.name ?? "?"} (label ${value})`);
   else if (volume.kind === "colour") said.push(`colour ${[...volume.voxels.subarray(3 * at, 3 * at + 3)].join(", ")}`);
   else said.push(`value ${brief(volume.range[0] + value / 255 * (volume.range[1] - volume.range[0]))}`);
-  for (const { name, limits: [low, high], voxels } of volume.fields) {
-    said.push(`${name} ${brief(low + voxels[at] / 255 * (high - low))}`);
-  }
+  if (volume.phases[value]?.visible) volume.fields.forEach((field) => said.push(fieldAt(field, at)));
   const found = thick && volume.kind !== "colour" ? thicknessAt(volume, voxel) : null;
-  if (found) said.push(`local thickness ${found.least ? "more than " : ""}${words(found.length, volume.unit)}`);
+  if (found) said.push(`local thickness ${found.least ? "more than " : ""}${words(Number(found.length.toPrecision(4)), volume.unit)}`);
   const place = voxel.map((index, i) => index * volume.block[2 - i]).reverse();
   const many = Math.max(...volume.block) > 1 ? `, of a block of ${volume.block.join(" x ")}` : "";
   return `${said.join(" · ")} · at z, y, x ${place.join(", ")}${many}`;
+}
+
+// A field is held between its limits: what is beyond is one of them.
+function fieldAt({ name, limits: [low, high], voxels }, at) {
+  const beyond = { 0: " or less", 255: " or more" }[voxels[at]] ?? "";
+  return `${name} ${brief(low + voxels[at] / 255 * (high - low))}${beyond}`;
 }
 
 const brief = (value) => String(Number(value.toPrecision(3)));
