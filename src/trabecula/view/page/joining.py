@@ -8,7 +8,7 @@ drawn one block thick.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -43,11 +43,7 @@ def join_labels(
     shown = np.array([name != "void" for name in volume.phases])
     shape = tuple(b - a for a, b in read)
     cover, label, behind = (np.zeros(shape, np.uint8) for _ in range(3))
-    for k, z in enumerate(range(*read[0])):
-        spans = ((z, z + 1), *read[1:])
-        voxels = volume.read(
-            tuple((a * size, b * size) for (a, b), size in zip(spans, block, strict=True))
-        )
+    for k, voxels in enumerate(_layers(volume, block, read)):
         votes = np.stack([_count(voxels == one, block) for one in range(len(shown))])
         cover[k] = votes[shown].sum(axis=0) * 255 // np.prod(block)
         label[k] = np.flatnonzero(shown)[votes[shown].argmax(axis=0)] if shown.any() else 0
@@ -72,6 +68,8 @@ def kept_blocks(cover: np.ndarray, block: Sequence[int]) -> np.ndarray:
     kept = cover >= _HALF
     least = 255 // (2 * max(block))
     for axis in range(cover.ndim):
+        if cover.shape[axis] == 1:
+            continue
         lines, out = np.moveaxis(cover, axis, 0), np.moveaxis(kept, axis, 0)
         empty = np.zeros_like(lines[0])
         for k, here in enumerate(lines):
@@ -84,9 +82,29 @@ def kept_blocks(cover: np.ndarray, block: Sequence[int]) -> np.ndarray:
     return kept
 
 
+def _layers(
+    volume: Slabs, block: Sequence[int], spans: Sequence[tuple[int, int]]
+) -> Iterator[np.ndarray]:
+    """Yield the voxels of one layer of blocks after the other; a chunk of the store is read once,
+    or twice where a layer ends within it.
+    """
+    (first, last), *across = spans
+    step = max(1, -(-volume.grain // block[0]))
+    for whole in range(first - first % step, last, step):
+        start, stop = max(whole, first), min(whole + step, last)
+        slab = volume.read(
+            tuple(
+                (a * size, b * size)
+                for (a, b), size in zip(((start, stop), *across), block, strict=True)
+            )
+        )
+        yield from slab.reshape(stop - start, block[0], *slab.shape[1:])
+
+
 def _count(inside: np.ndarray, block: Sequence[int]) -> np.ndarray:
     """Return how many voxels of each block of a layer (z, Y, X) are inside, (rows, columns)."""
     _, tall, wide = block
-    columns = inside.sum(axis=0, dtype=np.uint16)
+    narrow = np.uint8 if len(inside) < 256 else np.uint16
+    columns = np.add.reduce(inside.view(np.uint8), axis=0, dtype=narrow)
     rows = columns.reshape(-1, tall, columns.shape[1]).sum(axis=1, dtype=np.uint16)
     return rows.reshape(len(rows), -1, wide).sum(axis=2, dtype=np.uint32)

@@ -108,10 +108,10 @@ class _Handler(BaseHTTPRequestHandler):
             volume, fine = (int(query[name][0]) for name in ("volume", "fine"))
             low, size = (_triple(query[name][0]) for name in ("low", "size"))
             voxels = boxes(volume, fine, low, size)
-        except (KeyError, ValueError):
-            self._answer(400, "write /box?volume=0&fine=2&low=z,y,x&size=z,y,x in whole numbers")
         except InputError as error:
             self._answer(400, str(error))
+        except (KeyError, ValueError):
+            self._answer(400, "write /box?volume=0&fine=2&low=z,y,x&size=z,y,x in whole numbers")
         else:
             packed = gzip.compress(voxels, compresslevel=1)
             kind = "application/octet-stream"

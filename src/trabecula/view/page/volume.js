@@ -44,7 +44,9 @@ function drawnTable({ kind, phases, low, high }) {
 
 // The field of one slice across z. Labels are blurred as blur_axis does for stills, so that no staircase is left: along z
 // from the voxels, then y, then x, with weights that sum to 256. A slice at a time, since a copy of all would not fit.
-function fieldSlice({ voxels, shape: [depth, height, width], kind }, table, z, out, other) {
+// Of voxels that stand for blocks (`coarse`) it is doubled: their walls of one voxel, tilted, would blur into holes. That
+// moves a surface by half a block.
+function fieldSlice({ voxels, shape: [depth, height, width], kind, coarse }, table, z, out, other) {
   const size = height * width, start = z * size;
   if (kind === "colour") {
     for (let i = 0, j = 3 * start; i < size; i++, j += 3) out[i] = table[brightness(voxels, j)];
@@ -71,7 +73,8 @@ function fieldSlice({ voxels, shape: [depth, height, width], kind }, table, z, o
     for (let x = 0; x < width; x++) {
       const near = row + (x > 0 ? x - 1 : 0), far = row + (x > 1 ? x - 2 : 0);
       const next = row + (x < width - 1 ? x + 1 : x), last = row + Math.min(x + 2, width - 1);
-      out[row + x] = (128 + w0 * (other[far] + other[last]) + w1 * (other[near] + other[next]) + w2 * other[row + x]) >> 8;
+      const mean = (128 + w0 * (other[far] + other[last]) + w1 * (other[near] + other[next]) + w2 * other[row + x]) >> 8;
+      out[row + x] = coarse > 1 ? Math.min(255, 2 * mean) : mean;
     }
   }
 }
