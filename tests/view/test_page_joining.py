@@ -54,16 +54,16 @@ def test_a_box_of_blocks_is_that_part_of_all_blocks():
     volume = as_slabs(tb.Image(values, "labels"))
     whole = join_labels(volume, (2, 2, 2))
     box = ((3, 9), (0, 4), (5, 14))
-    np.testing.assert_array_equal(
-        join_labels(volume, (2, 2, 2), box), whole[3:9, 0:4, 5:14]
-    )
+    np.testing.assert_array_equal(join_labels(volume, (2, 2, 2), box), whole[3:9, 0:4, 5:14])
 
 
 @pytest.fixture
 def large(monkeypatch):
     """A page of blocks of 2 voxels of an image, and the image."""
     monkeypatch.setattr(fitting, "LARGEST", 8**3)
-    image = tb.Image(np.random.default_rng(2).integers(0, 2, (16, 16, 16)).astype(np.uint8), "labels")
+    image = tb.Image(
+        np.random.default_rng(2).integers(0, 2, (16, 16, 16)).astype(np.uint8), "labels"
+    )
     return tb.view(image), image
 
 
@@ -113,7 +113,9 @@ def test_fields_are_held_between_their_percentiles_where_they_are_drawn():
     assert [low, high] == pytest.approx(np.quantile(field[drawn], [0.01, 0.99]))
     shown = low + values[drawn] / 255 * (high - low)
     np.testing.assert_allclose(shown, field[drawn].clip(low, high), atol=(high - low) / 500)
-    flow = np.where(drawn, 0.0, rng.random((8, 8, 8)))  # of the void: its limits are those of the void
+    flow = np.where(
+        drawn, 0.0, rng.random((8, 8, 8))
+    )  # of the void: its limits are those of the void
     assert fitting.fit_field(flow, drawn, (1, 1, 1))[1] == pytest.approx(
         np.quantile(flow[~drawn], [0.01, 0.99])
     )
@@ -123,7 +125,10 @@ def test_fields_are_held_between_their_percentiles_where_they_are_drawn():
 
 @pytest.mark.parametrize(
     ("field", "message"),
-    [(np.zeros((4, 4, 5)), "field f is grey of shape"), (np.ones((4, 4, 4), bool), "labels, not grey")],
+    [
+        (np.zeros((4, 4, 5)), "field f is grey of shape"),
+        (np.ones((4, 4, 4), bool), "labels, not grey"),
+    ],
 )
 def test_a_field_that_fits_no_image_is_refused(field, message):
     with pytest.raises(InputError, match=message):

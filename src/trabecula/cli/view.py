@@ -65,9 +65,7 @@ def run(options: argparse.Namespace) -> int:
     certificate = _certificate(options.certificate) if options.certificate else None
     # Greys are shown as they are, unless a threshold is given.
     options.threshold = options.threshold or "none"
-    fields = {
-        name: load(file, threshold="none") for name, file in map(_field_words, options.field)
-    }
+    fields = {name: load(file, threshold="none") for name, file in map(_field_words, options.field)}
     images = [_load(file, options) for file in options.files]
     names = [Path(file).name for file in options.files]
     page = view(*images, names=names, look=options.look, certificate=certificate, fields=fields)

@@ -15,11 +15,11 @@ from trabecula.engine.lazy_volume import Slabs, as_slabs
 from trabecula.io.units import has_length, to_metres
 from trabecula.measure.registry import DESCRIPTORS
 from trabecula.view.looks import find_look
-from trabecula.view.volume import visible_phases
 from trabecula.view.page.document import Live, Page, document, pack
 from trabecula.view.page.fitting import FittedVolume, fit_field, fit_volume
 from trabecula.view.page.joining import join_labels
 from trabecula.view.page.server import Boxes, Triple
+from trabecula.view.volume import visible_phases
 
 MOST = 6
 """Volumes side by side."""
@@ -224,8 +224,8 @@ def _volume(
     }
     packed = []
     if isinstance(image, Image):
-        drawn = np.isin(image.values, visible_phases(image, None)) if tints else None
         for tint, field in tints.items():
+            drawn = np.isin(image.values, visible_phases(image, None))
             levels, limits = fit_field(field, drawn, fit.block)
             about["fields"].append({"name": tint, "limits": list(limits)})
             packed.append(pack(levels))
