@@ -10,13 +10,13 @@ import trabecula as tb
 from trabecula.core.errors import InputError
 from trabecula.engine.lazy_volume import as_slabs
 from trabecula.view.page import fitting
-from trabecula.view.page.joining import join_labels, kept_blocks
+from trabecula.view.page.joining import THIN, join_labels, kept_blocks
 from trabecula.view.page.server import PageServer
 
 
 def joined(values, edge=4):
     image = tb.Image(values.astype(np.uint8), "labels")
-    return join_labels(as_slabs(image), (edge,) * 3)
+    return join_labels(as_slabs(image), (edge,) * 3) > 0
 
 
 @pytest.mark.parametrize("offset", range(4))
@@ -47,6 +47,14 @@ def test_a_block_takes_the_most_frequent_drawn_label():
     values[1:3], values[3] = 1, 2
     image = tb.Image(values, "labels", phases=("void", "a", "b"))
     assert join_labels(as_slabs(image), (4, 4, 4)).item() == 1
+
+
+def test_blocks_of_thin_walls_are_marked():
+    values = np.zeros((16, 16, 16), np.uint8)
+    values[:, :, 4:8] = 1
+    values[:, :, 13] = 1
+    found = join_labels(as_slabs(tb.Image(values, "labels")), (4, 4, 4))
+    assert found[2, 2].tolist() == [0, 1, 0, 1 + THIN]
 
 
 def test_a_box_of_blocks_is_that_part_of_all_blocks():

@@ -130,7 +130,7 @@ class Drawing {
     for (const name of ["fineField", "fineSource", "blocks"]) if (textures[name]) gl.deleteTexture(textures[name]);
     [textures.fineField, textures.fineSource] = [null, null];
     if (fine) {
-      const grid = { ...volume, voxels: fine.voxels, shape: fine.shape, coarse: volume.coarse / fine.fine };
+      const grid = { ...volume, voxels: fine.voxels, shape: fine.shape };
       textures.fineField = this.fieldTexture(null, grid, marks, TABLE.levels + Math.log2(fine.fine), fine);
       if (volume.mode === 1) textures.fineSource = this.nearestTexture(null, grid, grid);
     }

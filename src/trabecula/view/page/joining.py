@@ -14,6 +14,9 @@ import numpy as np
 
 from trabecula.engine.lazy_volume import Slabs
 
+THIN = 128
+"""Added to the label of a block that only a thin wall makes drawn."""
+
 _HALF = 128  # of 255
 
 
@@ -34,7 +37,8 @@ def join_labels(
     -------
     labels : (Z, Y, X) uint8
         Of a drawn block the most frequent of the drawn labels in it, else of the others. Drawn is
-        every phase but "void"; without a void all are, and the most frequent counts.
+        every phase but "void"; without a void all are, and the most frequent counts. THIN is added
+        to the label of a block that is less than half covered: the page must not blur it away.
     """
     counts = [side // size for side, size in zip(volume.shape, block, strict=True)]
     wanted = [(0, count) for count in counts] if box is None else list(box)
@@ -48,11 +52,12 @@ def join_labels(
         cover[k] = votes[shown].sum(axis=0) * 255 // np.prod(block)
         label[k] = np.flatnonzero(shown)[votes[shown].argmax(axis=0)] if shown.any() else 0
         behind[k] = np.flatnonzero(~shown)[votes[~shown].argmax(axis=0)] if not shown.all() else 0
-    joined = np.where(kept_blocks(cover, block) | shown.all(), label, behind)
+    kept = kept_blocks(cover, block) | shown.all()
+    joined = np.where(kept, label, behind) | np.where(kept & (cover < _HALF), THIN, 0)
     inner = tuple(
         slice(a - first, b - first) for (a, b), (first, _) in zip(wanted, read, strict=True)
     )
-    return np.ascontiguousarray(joined[inner])
+    return np.ascontiguousarray(joined[inner], np.uint8)
 
 
 def kept_blocks(cover: np.ndarray, block: Sequence[int]) -> np.ndarray:

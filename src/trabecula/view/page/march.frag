@@ -87,7 +87,7 @@ float density(float level, vec3 p) {
   samples += 1.0;
   vec3 inside = clamp(min(p, uSides - p) * exp2(-level) + 0.5, 0.0, 1.0);
 #ifdef FINE
-  // Means of the finer voxels: the doubled field of the whole reaches beyond their surfaces.
+  // Means of the finer voxels: thin walls of the whole are thicker than theirs.
   if (isFine(p)) {
     vec3 at = (p - uFineLow) / (uFineHigh - uFineLow);
     return textureLod(uFineField, at, level + log2(uFine)).r * inside.x * inside.y * inside.z;

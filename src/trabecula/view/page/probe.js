@@ -10,10 +10,11 @@ function isCut(point, made, stretch) {
 
 const indexOf = ({ sides: [width, height] }, [x, y, z]) => (z * height + y) * width + x;
 
-// Whether each value of a voxel is drawn.
+// The label or grey of a voxel.
 function valueAt(volume, voxel) {
   const at = indexOf(volume, voxel);
-  return volume.kind === "colour" ? brightness(volume.voxels, 3 * at) : volume.voxels[at];
+  if (volume.kind === "colour") return brightness(volume.voxels, 3 * at);
+  return volume.kind === "labels" ? volume.voxels[at] & LABEL : volume.voxels[at];
 }
 
 // The first drawn voxel under a place of the picture (CSS pixels of the cell): { voxel, point (in the volume's unit) }.

@@ -16,8 +16,8 @@ function slicePixels(volume, axis, at) {
   for (let r = 0, to = 0; r < rows; r++) {
     for (let c = 0; c < columns; c++, to += 4) {
       const from = at * steps[axis] + r * down + c * right;
-      if (ramp && volume.phases[voxels[from]].visible) image.data.set(ramp[chosen.voxels[from]], to);
-      else if (palette) image.data.set(palette[voxels[from]], to);
+      if (ramp && volume.phases[voxels[from] & LABEL].visible) image.data.set(ramp[chosen.voxels[from]], to);
+      else if (palette) image.data.set(palette[voxels[from] & LABEL], to);
       else if (kind === "colour") for (let k = 0; k < 3; k++) image.data[to + k] = voxels[3 * from + k];
       else image.data.fill(255 * (voxels[from] - low) / Math.max(high - low, 1), to, to + 3);
       image.data[to + 3] = 255;

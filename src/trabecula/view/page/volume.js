@@ -31,11 +31,14 @@ async function unpack(element, size) {
   return voxels;
 }
 
+// Of a byte of labels the last bit says that the voxel is a block which only a thin wall makes drawn (joining.py).
+const LABEL = 127;
+
 // How much is drawn of a voxel of that value: visible phases, or a ramp of greys.
 function drawnTable({ kind, phases, low, high }) {
   const table = new Uint8Array(256);
   for (let v = 0; v < 256; v++) {
-    if (kind === "labels") table[v] = v < phases.length && phases[v].visible ? 255 : 0;
+    if (kind === "labels") table[v] = phases[v & LABEL]?.visible ? 255 : 0;
     else if (high > low) table[v] = Math.round(255 * Math.min(1, Math.max(0, (v - low) / (high - low))));
     else table[v] = v >= low ? 255 : 0;
   }
@@ -44,9 +47,8 @@ function drawnTable({ kind, phases, low, high }) {
 
 // The field of one slice across z. Labels are blurred as blur_axis does for stills, so that no staircase is left: along z
 // from the voxels, then y, then x, with weights that sum to 256. A slice at a time, since a copy of all would not fit.
-// Of voxels that stand for blocks (`coarse`) it is doubled: their walls of one voxel, tilted, would blur into holes. That
-// moves a surface by half a block.
-function fieldSlice({ voxels, shape: [depth, height, width], kind, coarse }, table, z, out, other) {
+// Blocks with a thin wall stay full: a tilted wall of one voxel would blur into holes.
+function fieldSlice({ voxels, shape: [depth, height, width], kind }, table, z, out, other) {
   const size = height * width, start = z * size;
   if (kind === "colour") {
     for (let i = 0, j = 3 * start; i < size; i++, j += 3) out[i] = table[brightness(voxels, j)];
@@ -73,10 +75,10 @@ function fieldSlice({ voxels, shape: [depth, height, width], kind, coarse }, tab
     for (let x = 0; x < width; x++) {
       const near = row + (x > 0 ? x - 1 : 0), far = row + (x > 1 ? x - 2 : 0);
       const next = row + (x < width - 1 ? x + 1 : x), last = row + Math.min(x + 2, width - 1);
-      const mean = (128 + w0 * (other[far] + other[last]) + w1 * (other[near] + other[next]) + w2 * other[row + x]) >> 8;
-      out[row + x] = coarse > 1 ? Math.min(255, 2 * mean) : mean;
+      out[row + x] = (128 + w0 * (other[far] + other[last]) + w1 * (other[near] + other[next]) + w2 * other[row + x]) >> 8;
     }
   }
+  for (let i = 0; i < size; i++) if (voxels[start + i] > LABEL && table[voxels[start + i]]) out[i] = 255;
 }
 
 function brightness(voxels, at) {
@@ -86,7 +88,8 @@ function brightness(voxels, at) {
 // A slice of labels in which hidden voxels beside drawn ones take theirs: blurring may move a surface by half a voxel.
 // `values` are what is spread: the labels themselves, or a field.
 function spreadSlice({ voxels, shape: [depth, height, width], phases }, values, z, out) {
-  const seen = phases.map((phase) => phase.visible), size = height * width, start = z * size;
+  const seen = Array.from({ length: 256 }, (_, v) => phases[v & LABEL]?.visible), size = height * width, start = z * size;
+  const mask = values === voxels ? LABEL : 255;
   for (let y = 0, i = 0; y < height; y++) {
     for (let x = 0; x < width; x++, i++) {
       const at = start + i;
@@ -99,7 +102,7 @@ function spreadSlice({ voxels, shape: [depth, height, width], phases }, values, 
         else if (x > 0 && seen[voxels[at - 1]]) from = at - 1;
         else if (x < width - 1 && seen[voxels[at + 1]]) from = at + 1;
       }
-      out[i] = values[from];
+      out[i] = values[from] & mask;
     }
   }
 }
