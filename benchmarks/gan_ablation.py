@@ -107,8 +107,8 @@ def _costs(image: tb.Image) -> list[float]:
     import torch
 
     from trabecula.synth.gan.adversarial import AdversarialPair
-    from trabecula.synth.gan.losses import CandidateTable
-    from trabecula.synth.gan.train import CHUNK, TABLE, exemplar_fields
+    from trabecula.synth.gan.crops import exemplar_fields
+    from trabecula.synth.gan.losses import CHUNK, TABLE, CandidateTable
 
     configs = [GanConfig(**settings) for settings, _ in VARIANTS.values()]
     fields = exemplar_fields(image, configs[0])

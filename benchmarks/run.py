@@ -29,6 +29,8 @@ import evenness
 import fusion
 import gan
 import gan_ablation
+import gan_paper
+import gan_weights
 import graded
 import image
 import image_figures
@@ -106,6 +108,8 @@ CASES: dict[str, Callable[[], None]] = {
     "gan_speed": gan.speed,
     "gan_ablation": gan_ablation.ablation,
     "gan_smoke": gan.smoke,
+    "gan_paper": gan_paper.gan_paper,
+    "gan_weights": gan_weights.gan_weights,
     "image_likeness": image.image_likeness,
     "image_paper": image_paper.image_paper,
     "image_cooling": image_figures.image_cooling,

@@ -74,4 +74,8 @@ The void of 64^3 of `sample:foam`: left the middle slice, every pore in a colour
 {pores} pores (balls of .6 times their radius) and {throats} throats. [How](../howto/networks.md).
 
 ![a slice with pores in colours, and the network](network.png)
+
+```sh
+trabecula network sample:foam --crop 64 --out network.vtp
+```
 """

@@ -9,6 +9,7 @@ torch = pytest.importorskip("torch", reason="method gan needs the extra 'learn'"
 
 import trabecula as tb  # noqa: E402
 from trabecula.synth.gan.config import GanConfig  # noqa: E402
+from trabecula.synth.gan.crops import exemplar_fields, turns_of  # noqa: E402
 from trabecula.synth.gan.decode import (  # noqa: E402
     balance_offsets,
     calibrate,
@@ -16,7 +17,6 @@ from trabecula.synth.gan.decode import (  # noqa: E402
     held_out_field,
 )
 from trabecula.synth.gan.networks import new_generator  # noqa: E402
-from trabecula.synth.gan.train import exemplar_fields, turns_of  # noqa: E402
 
 CONFIG = GanConfig(crop=40, width=2)
 

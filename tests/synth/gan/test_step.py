@@ -107,6 +107,48 @@ def test_a_step_takes_equations_1_and_2(name):
     assert of_generator == pytest.approx(wanted, rel=1e-4)
 
 
+def test_the_sums_are_those_that_the_paper_prints():
+    """Equation 4 and the gram loss of section 3.3: sums over layers, regions or slices, and
+    numbers, of one crop; a mean over the crops of the batch.
+    """
+    settings = {**SMALL, "generator": "subpixel", "crop": 32, "reduction": "sum"}
+    config = GanConfig(**{**PRESETS["paper"], **settings})
+    pair, real, fake, _, of_generator = step(config)
+    with torch.no_grad():
+        features, known, candidates = (
+            [part.double().numpy() for part in pair.discriminator.features(crops)]
+            for crops in (fake, real, draw(2, 3, 1, 32, 32, 32)[:2])
+        )
+        last = pair.discriminator.features(draw(2, 3, 1, 32, 32, 32)[2:])
+        wanted = -log_sigmoid(pair.discriminator(fake)[0]).mean()
+    for layer, edge in enumerate((8, 4, 2)):
+        for made, other in zip(features[layer], known[layer], strict=True):
+            side = made.shape[1]
+            apart = (gram_matrices(made) - gram_matrices(other)) * side**2
+            wanted += 0.1 * np.square(apart).sum() / config.batch
+        asked = regions(features[layer], edge)
+        parts = candidates[layer], last[layer].double().numpy()
+        table = np.concatenate([regions(part, edge) for part in parts])
+        wanted += np.square(asked[:, None] - table[None]).sum(2).min(1).sum() / config.batch
+    assert of_generator == pytest.approx(wanted, rel=1e-4)
+
+
+def test_gradient_shares_are_told_and_change_nothing():
+    """Twice the weight is twice the share; the weights move as without the shares."""
+    settings = {**SMALL, "generator": "subpixel", "crop": 32, "batch": 2}
+    moved, shares = [], []
+    for gram, told in ((0.1, False), (0.1, True), (0.2, True)):
+        config = GanConfig(**{**PRESETS["gram"], **settings, "gram": gram})
+        pair = AdversarialPair(config, 1, torch.device("cpu"))
+        real = torch.tanh(draw(1, 2, 1, 32, 32, 32))
+        found = pair.train_step(real, torch.Generator().manual_seed(5), 0, 0.0, shares=told)
+        moved.append(pair.state())
+        shares.append(found.get("gram_share"))
+    assert all(torch.equal(moved[0][name], moved[1][name]) for name in moved[0])
+    assert shares[0] is None and shares[1] > 0
+    assert shares[2] == pytest.approx(2 * shares[1], rel=1e-4)
+
+
 @pytest.mark.parametrize("iteration", [0, 1])
 def test_a_step_takes_r1_and_the_sliced_distance_every_other_time(iteration):
     """Relativistic losses of both networks (Huang et al. 2024), gamma / 2 of R1 and the sliced

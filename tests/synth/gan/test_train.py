@@ -17,10 +17,10 @@ from trabecula.errors import InputError, MemoryBudgetError, TrainingError  # noq
 from trabecula.synth.gan import train  # noqa: E402
 from trabecula.synth.gan.adversarial import AdversarialPair  # noqa: E402
 from trabecula.synth.gan.config import PRESETS, GanConfig  # noqa: E402
+from trabecula.synth.gan.crops import exemplar_fields  # noqa: E402
 from trabecula.synth.gan.evaluation import failure  # noqa: E402
 from trabecula.synth.gan.losses import CandidateTable  # noqa: E402
 from trabecula.synth.gan.networks import Subpixel, arithmetic  # noqa: E402
-from trabecula.synth.gan.train import exemplar_fields  # noqa: E402
 
 TINY = {"crop": 40, "batch": 2, "width": 2, "latent": 2, "minutes": 0.0, "looks": 1}
 
@@ -40,7 +40,7 @@ def stripes():
 
 
 def weights_of(state):
-    return {name: tensor.numpy() for name, tensor in state["generator"].items()}
+    return state["generator"]
 
 
 def test_it_comes_nearer_to_the_exemplar(stripes, tmp_path):
@@ -101,8 +101,8 @@ def test_global_random_numbers_are_left_alone(stripes):
 def test_a_training_that_diverges_goes_back_and_slows_down(stripes, monkeypatch):
     play, failed = AdversarialPair.train_step, []
 
-    def failing(self, real, draw, iteration, noise):
-        told = play(self, real, draw, iteration, noise)
+    def failing(self, real, draw, iteration, noise, **more):
+        told = play(self, real, draw, iteration, noise, **more)
         if len(failed) < 1 and iteration == 9:
             failed.append(iteration)
             told["generator"] = float("nan")
@@ -120,9 +120,10 @@ def test_a_training_that_diverges_goes_back_and_slows_down(stripes, monkeypatch)
 
 
 def test_a_training_that_always_diverges_is_given_up(stripes, monkeypatch):
-    monkeypatch.setattr(
-        AdversarialPair, "train_step", lambda *_: {"discriminator": float("nan"), "generator": 0.0}
-    )
+    def failing(*_, **__):
+        return {"discriminator": float("nan"), "generator": 0.0}
+
+    monkeypatch.setattr(AdversarialPair, "train_step", failing)
     with pytest.raises(TrainingError, match="lower rate"):
         train.train(GanConfig(**TINY, iterations=12, warmup=0), stripes)
 
@@ -230,8 +231,84 @@ def test_a_gpu_that_is_not_there_is_told(stripes, monkeypatch):
         train.train(GanConfig(**TINY, iterations=1, device="cuda"), stripes)
 
 
+def test_a_gpu_that_runs_out_of_memory_resumes_with_a_smaller_batch(stripes, monkeypatch, tmp_path):
+    play = AdversarialPair.train_step
+
+    def full(self, real, draw, iteration, noise, **more):
+        if self.config.batch == 2 and iteration == 3:
+            raise torch.cuda.OutOfMemoryError("CUDA out of memory")
+        return play(self, real, draw, iteration, noise, **more)
+
+    monkeypatch.setattr(AdversarialPair, "train_step", full)
+    settings = {**TINY, "iterations": 5, "looks": 5, "warmup": 0.0, "run": str(tmp_path)}
+    with pytest.raises(MemoryBudgetError, match=r"set batch=1, .*after 3 iterations from"):
+        train.train(GanConfig(**settings), stripes)
+    said = []
+    with listen(lambda label, done: said.append(label) if done < 0 else None):
+        state = train.train(GanConfig(**{**settings, "batch": 1}), stripes)
+    assert any("resuming after 3 iterations" in line for line in said)
+    assert state["training"]["iterations"] == 5
+    said.clear()
+    with listen(lambda label, done: said.append(label) if done < 0 else None):
+        train.train(GanConfig(**{**settings, "iterations": 6}), stripes)
+    assert any("left by another training" in line for line in said)
+
+
+def test_checkpoints_are_written_by_the_clock_and_at_the_end(stripes, monkeypatch, tmp_path):
+    """Every call of the clock is half a minute later: a checkpoint every few iterations."""
+    now, written = [0.0], []
+
+    def later():
+        now[0] += 30.0
+        return now[0]
+
+    monkeypatch.setattr(train.time, "monotonic", later)
+    monkeypatch.setattr(
+        train, "save_checkpoint", lambda *args: written.append(args[3]["state"]["iteration"])
+    )
+    settings = {**TINY, "iterations": 6, "warmup": 0.0, "run": str(tmp_path)}
+    train.train(GanConfig(**settings, checkpoint=1000.0), stripes)
+    assert written == [1, 6]  # the evaluation of the first iteration, and the end
+    written.clear()
+    train.train(GanConfig(**settings, checkpoint=2.0), stripes)
+    assert written[0] == 1 and written[-1] == 6 and len(written) >= 3
+
+
+def test_a_model_in_half_precision_and_in_parts_is_the_same_model(stripes, tmp_path):
+    settings = {**TINY, "iterations": 1, "warmup": 1.0}
+    model = tb.method("gan", **settings, storage="float16").fit(stripes)
+    floats = [array.dtype for array in model.parts["generator"].values() if array.dtype.kind == "f"]
+    assert set(floats) == {np.dtype(np.float16)}
+    path = tmp_path / "half.model"
+    model.save(path, part_bytes=3000)
+    parts = sorted(tmp_path.glob("half.model.*of*"))
+    assert len(parts) > 2 and all(part.stat().st_size <= 3000 for part in parts)
+    for name in (path, parts[1]):
+        again = tb.load_model(name)
+        assert again.sha256 == model.sha256
+    made = model.generate(40, seed=1).values
+    assert np.array_equal(again.generate(40, seed=1).values, made)
+    parts[1].unlink()
+    with pytest.raises(tb.errors.FileError, match=r"2of\d+ is missing"):
+        tb.load_model(path)
+    model.save(path, part_bytes=1 << 20)
+    assert [place.name for place in tmp_path.glob("half.model*")] == ["half.model.1of1"]
+
+
+def test_a_model_from_before_these_settings_loads_as_it_was():
+    """The shipped models hold no `reduction`, `storage` or `views`."""
+    from trabecula.engine import tensors
+    from trabecula.synth.api.serialize import place_of
+
+    words = tensors.decode(place_of("bone").read_bytes())[1]
+    assert "reduction" not in words["trabecula"]
+    config = tb.load_model("bone").config
+    assert (config.reduction, config.storage, config.views) == ("mean", "float32", ())
+    assert GanConfig.recorded({})["reduction"] == "mean"
+
+
 def test_a_gpu_that_is_too_small_is_told(stripes, monkeypatch):
-    def full(*_):
+    def full(*_, **__):
         raise torch.OutOfMemoryError("CUDA out of memory")
 
     monkeypatch.setattr(AdversarialPair, "train_step", full)

@@ -17,15 +17,17 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from trabecula.core.checks import as_seed
+from trabecula.core.checks import as_number, as_seed
 from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image, outline
+from trabecula.core.progress import whole_run
 from trabecula.core.recipe import Recipe, versions
 from trabecula.core.request import Request, check_exemplar
 from trabecula.core.target import OF_A_PHASE
 from trabecula.engine import checkpoint, tensors
 from trabecula.engine.files import replacing
 from trabecula.engine.memory import Plan, check_budget, largest_within
+from trabecula.engine.parts import write_parts
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.capabilities import Capabilities
 from trabecula.synth.api.exemplar_info import ExemplarInfo, exemplar_info, result_voxels
@@ -158,9 +160,16 @@ class Model(ABC):
         plain = json.dumps({**about, **more}, sort_keys=True, allow_nan=False)
         return tensors.encode(arrays, {KEY: plain})
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
+    def save(self, path: str | os.PathLike[str], *, part_bytes: int | None = None) -> Path:
         """Write the model to a file that `tb.load_model` reads; it holds no voxels where the model
         does not store its exemplars.
+
+        Parameters
+        ----------
+        path : path or str
+        part_bytes : int, optional
+            Write parts of at most so many bytes, 1024 at least: PATH.1of4 and so on;
+            `load_model(PATH)` reads them as one.
 
         Raises
         ------
@@ -169,8 +178,12 @@ class Model(ABC):
         """
         place = Path(path)
         data = self.to_bytes(history=dict(self.history), versions=versions())
-        with replacing(place) as temporary:
-            temporary.write_bytes(data)
+        if part_bytes is not None:
+            most = as_number(part_bytes, name="part_bytes", low=1024, high=2**62, whole=True)
+            write_parts(place, data, int(most))
+        else:
+            with replacing(place) as temporary:
+                temporary.write_bytes(data)
         self.name = place.name
         return place
 
@@ -230,7 +243,8 @@ class Model(ABC):
             budget=memory,
             advice=lambda limit: self._advise_smaller(request, limit),
         )
-        values, report = self.compute(request)
+        with whole_run("making"):
+            values, report = self.compute(request)
         recipe = Recipe().then("generate", values, **self._step(request, report))
         return Image(values, **self.fields(request), recipe=recipe)
 

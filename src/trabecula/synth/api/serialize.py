@@ -36,6 +36,7 @@ from trabecula.core.request import Request
 from trabecula.engine import tensors
 from trabecula.engine.blocks import Box
 from trabecula.engine.memory import available_memory, format_bytes
+from trabecula.engine.parts import parts_of, whole_name
 from trabecula.io.guard import check_there, report_damage
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method
@@ -50,6 +51,7 @@ def load_model(source: str | os.PathLike[str]) -> Model:
     Parameters
     ----------
     source : path or str
+        A model that was saved in parts is named as the whole, or by any part.
 
     Raises
     ------
@@ -69,21 +71,24 @@ def load_model(source: str | os.PathLike[str]) -> Model:
     <Image 30x30x30 labels, voxel 40x40x40 um, phases void/solid>
     """
     path = place_of(source)
-    size = path.stat().st_size
+    files = parts_of(path)
+    size = sum(file.stat().st_size for file in files)
     if 2 * size > available_memory():
         raise FileError(
             f"cannot read {path} as a model: it has {format_bytes(size)}, more than fits into "
             "memory twice"
         )
     with report_damage(path, "a model", checked=False):
-        model = decode_model(path.read_bytes(), path)
+        model = decode_model(b"".join(file.read_bytes() for file in files), path)
     model.name = path.stem if path == models.shipped_models().get(path.stem) else path.name
     return model
 
 
 def place_of(source: str | os.PathLike[str]) -> Path:
     """Return the file of a model: the path itself, or that of a shipped model of that name."""
-    path, known = Path(as_path_text(source)), models.shipped_models()
+    path, known = whole_name(Path(as_path_text(source))), models.shipped_models()
+    if parts_of(path) not in ([], [path]):
+        return path
     if path.is_dir():
         raise FileError(f"cannot read {path} as a model: it is a folder")
     if not path.exists() and os.fspath(source) in known:

@@ -6,10 +6,10 @@ from trabecula.synth.api.capabilities import Capabilities
 
 CAPABILITIES = Capabilities(
     name="gan",
-    summary="a generator learnt from one exemplar in minutes, which then makes material without "
-    "limit in a moment",
+    summary="a generator learnt from one exemplar, or from pictures, in minutes, which then makes "
+    "material without limit in a moment",
     paper="Zhang, Yang, Li, Wu, Wang (2021), ScaffoldGAN",
-    learns_from=("volume",),
+    learns_from=("volume", "pictures"),
     kinds=("labels", "grey"),
     honours=frozenset({"periodic", "mask"}),
     large="box",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -13,7 +13,13 @@ from torch import Tensor
 from trabecula.core.seeds import key
 from trabecula.synth.gan import losses
 from trabecula.synth.gan.config import GanConfig
-from trabecula.synth.gan.networks import Score, arithmetic, new_discriminator, new_generator
+from trabecula.synth.gan.networks import (
+    Score,
+    new_discriminator,
+    new_generator,
+    training_arithmetic,
+)
+from trabecula.synth.gan.slices import new_slice_discriminator, take_slices
 
 _PENALTY_EVERY = 2  # iterations; its weight makes up for it
 _SLICED_EVERY = 2
@@ -30,15 +36,31 @@ class AdversarialPair:
     channels : int
         Of the fields.
     device : torch.device
+    views : sequence of (int, int)
+        Of pictures (`PictureFields.views`); none where it learns from a volume.
     """
 
-    def __init__(self, config: GanConfig, channels: int, device: torch.device) -> None:
+    def __init__(
+        self,
+        config: GanConfig,
+        channels: int,
+        device: torch.device,
+        views: Sequence[tuple[int, int]] = (),
+    ) -> None:
         self.config, self.channels, self.device = config, channels, device
+        self.axes = [axis for axis, _ in views]
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(key(config.seed, "gan/weights")) >> 1)
-            networks = new_generator(config, channels), new_discriminator(config, channels)
-        self.generator, self.discriminator = (
-            network.to(device, memory_format=torch.channels_last_3d) for network in networks
+            generator = new_generator(config, channels)
+            discriminator = (
+                new_slice_discriminator(config, channels, views)
+                if views
+                else new_discriminator(config, channels)
+            )
+        volumes = torch.channels_last_3d
+        self.generator = generator.to(device, memory_format=volumes)
+        self.discriminator: Any = discriminator.to(
+            device, memory_format=torch.channels_last if views else volumes
         )
         self.ema = copy.deepcopy(self.generator).requires_grad_(False)
         betas = (0.5, 0.999) if config.adversarial == "standard" else (0.5, 0.99)
@@ -51,7 +73,9 @@ class AdversarialPair:
     def autocast(self) -> AbstractContextManager[Any]:
         """Run the networks in the arithmetic of the config."""
         return torch.autocast(
-            self.device.type, torch.bfloat16, enabled=arithmetic(self.config) == "bf16"
+            self.device.type,
+            torch.bfloat16,
+            enabled=training_arithmetic(self.config, self.device) == "bf16",
         )
 
     def generate(self, random: torch.Generator) -> Tensor:
@@ -81,29 +105,51 @@ class AdversarialPair:
             for group in optimiser.param_groups:
                 group["lr"] = self.config.rate * factor
 
-    def warmup_step(self, real: Tensor, random: torch.Generator) -> dict[str, float]:
+    def seen(self, fake: Tensor, iteration: int) -> Tensor:
+        """Return what the discriminator sees of generated crops: the crops, or slices of them."""
+        return take_slices(fake, self.axes, iteration) if self.axes else fake
+
+    def sliced(self, fake: Tensor, real: Tensor, random: torch.Generator) -> Tensor:
+        """Return the distance of neighbourhoods, of views a mean."""
+        if not self.axes:
+            return losses.sliced(fake, real, random)
+        views = range(len(self.axes))
+        found = [losses.sliced(fake[:, view], real[:, view], random) for view in views]
+        return torch.stack(found).mean()
+
+    def warmup_step(
+        self, real: Tensor, random: torch.Generator, iteration: int = 0
+    ) -> dict[str, float]:
         """Step the generator on the distribution of neighbourhoods alone; return the losses."""
-        loss = losses.sliced(self.generate(random), real, random)
+        loss = self.sliced(self.seen(self.generate(random), iteration), real, random)
         for group in self.optimisers[0].param_groups:
             group["lr"] *= _WARMUP_RATE
         self._step(0, loss)
         return {"generator": 0.0, "discriminator": 0.0, "sliced": loss.item()}
 
     def train_step(
-        self, real: Tensor, random: torch.Generator, iteration: int, noise: float
+        self,
+        real: Tensor,
+        random: torch.Generator,
+        iteration: int,
+        noise: float,
+        *,
+        shares: bool = False,
     ) -> dict[str, float]:
         """Step the discriminator, then the generator, on the same crops; return the losses.
 
         Parameters
         ----------
-        real : (B, K, crop, crop, crop) tensor
+        real : (B, K, crop, crop, crop) tensor, or of pictures (N, V, K, crop, crop)
         random : torch.Generator
         iteration : int
         noise : float
             Standard deviation of the noise on all crops that the discriminator sees.
+        shares : bool
+            Whether to return `gradient_shares` as well; the step is the same.
         """
         config = self.config
-        fake = self.generate(random)
+        fake = self.seen(self.generate(random), iteration)
         noises = [
             noise * torch.randn(real.shape, generator=random, device=self.device) if noise else 0.0
             for _ in range(2)
@@ -123,21 +169,32 @@ class AdversarialPair:
         self._step(1, loss)
         self.discriminator.requires_grad_(False)
         with self.autocast():
-            generator_loss, parts = self._generator_loss(
+            terms = self._generator_terms(
                 fake + noises[1], real_noisy, [verdict.detach() for verdict in verdicts]
             )
         if config.sliced and iteration % _SLICED_EVERY == 0:
-            term = losses.sliced(fake, real, random)
-            generator_loss = generator_loss + config.sliced * _SLICED_EVERY * term
-            parts["sliced"] = term.item()
+            terms["sliced"] = self.sliced(fake, real, random)
+        weights = {
+            "gram": config.gram,
+            "structural": config.structural,
+            "sliced": config.sliced * _SLICED_EVERY,
+        }
+        generator_loss = terms["generator"]
+        for name, weight in weights.items():
+            if name in terms:
+                generator_loss = generator_loss + weight * terms[name]
+        parts = {name: term.item() for name, term in terms.items()}
+        if shares:
+            weights["sliced"] = config.sliced  # as a mean over iterations
+            parts |= gradient_shares(terms, weights, fake)
         self._step(0, generator_loss)
         self.discriminator.requires_grad_(True)
         return {"discriminator": loss.item(), **parts}
 
-    def _generator_loss(
+    def _generator_terms(
         self, fake: Tensor, real: Tensor, verdicts: list[Tensor]
-    ) -> tuple[Tensor, dict[str, float]]:
-        """Return the generator's loss (equation 2 of the paper) and the values of its parts."""
+    ) -> dict[str, Tensor]:
+        """Return the terms of the generator's loss (equation 2 of the paper) without weights."""
         config = self.config
         plain = not (config.gram or config.structural)
         if not plain and not isinstance(self.discriminator, Score):
@@ -145,21 +202,20 @@ class AdversarialPair:
         features = [] if plain else self.discriminator.features(fake)
         fake_verdicts = self.discriminator(fake) if plain else self.discriminator.verdicts(features)
         relative = config.adversarial == "relativistic"
-        loss = (
-            losses.relativistic(fake_verdicts, verdicts)
+        terms = {
+            "generator": losses.relativistic(fake_verdicts, verdicts)
             if relative
             else losses.standard(fake_verdicts, real=True)
-        )
-        parts = {"generator": loss.item()}
+        }
         if config.gram:
             with torch.no_grad():
                 real_features = self.discriminator.features(real)
-            part = losses.gram(features, real_features)
-            loss, parts["gram"] = loss + config.gram * part, part.item()
+            terms["gram"] = losses.gram(features, real_features, reduction=config.reduction)
         if config.structural and self.table is not None:
-            part = self.table.loss(self.discriminator, features)
-            loss, parts["structural"] = loss + config.structural * part, part.item()
-        return loss, parts
+            terms["structural"] = self.table.loss(
+                self.discriminator, features, reduction=config.reduction
+            )
+        return terms
 
     def _step(self, network: int, loss: Tensor) -> None:
         self.optimisers[network].zero_grad()
@@ -209,3 +265,21 @@ class AdversarialPair:
             for place, parameter in enumerate(optimiser.param_groups[0]["params"]):
                 for name, tensor in optimiser.state.get(parameter, {}).items():
                     yield f"optimiser{number}.{place}.{name}", tensor
+
+
+def gradient_shares(
+    terms: Mapping[str, Tensor], weights: Mapping[str, float], fake: Tensor
+) -> dict[str, float]:
+    """Return the length of each weighted term's gradient by the generated crops, over that of the
+    adversarial term: "gram_share", "structural_share", "sliced_share".
+    """
+    lengths = {
+        name: float(torch.autograd.grad(term, fake, retain_graph=True)[0].float().norm())
+        for name, term in terms.items()
+    }
+    against = max(lengths["generator"], 1e-30)
+    return {
+        f"{name}_share": weights[name] * length / against
+        for name, length in lengths.items()
+        if name in weights
+    }

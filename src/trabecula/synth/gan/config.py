@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
+from trabecula.exemplar.views import as_planes
 
 GENERATORS = ("subpixel", "deconvolution", "deconvolution+conv")
 DISCRIMINATORS = ("scales", "patch", "score")
 ADVERSARIAL = ("relativistic", "standard")
 DEVICES = ("auto", "cpu", "cuda")
 PRECISIONS = ("auto", "bf16", "float32")
+REDUCTIONS = ("mean", "sum")
+STORAGES = ("float32", "float16")
 ORIENTATIONS = ("none", "inverted", "mirrors", "all")
 
 
@@ -87,6 +91,11 @@ class GanConfig:
     structural: float = 0.0
     """Weight of the structural loss, 0 .. 1000. The paper's: 1."""
 
+    reduction: str = "mean"
+    """How the gram and the structural loss add up: "mean" (over regions, slices and features: the
+    weights do not depend on the crop) or "sum" (equation 4 and section 3.3 of the paper as
+    printed; a mean over the crops of a batch alone)."""
+
     rate: float = 1e-3
     """Learning rate of Adam, 1e-6 .. 0.1. The paper's: 2e-4."""
 
@@ -106,7 +115,13 @@ class GanConfig:
     orientations: str = "inverted"
     """Copies of the exemplar that are learnt from as well: "none", "inverted" (its point
     reflection, which has the same two-point function along every direction), "mirrors" (about the
-    axes), or "all" 48."""
+    axes), or "all" 48; of pictures "mirrors" are 4 and "all" 8."""
+
+    views: tuple[str, ...] = ()
+    """Planes of the volume that look like the pictures, where it learns from pictures: two or
+    three of "yx" (seen across z), "zx" (across y), "zy" (across x); turned pictures are "xy",
+    "xz", "yz". None named: as `kopf` and `sliced` take them.
+    """
 
     minutes: float = 10.0
     """Time to train for, 0 .. 100000 minutes by the clock; 0 leaves it to the iterations."""
@@ -131,11 +146,24 @@ class GanConfig:
 
     precision: str = "auto"
     """Arithmetic of the networks in training: "bf16", "float32", or "auto" (bf16 where the
-    processor multiplies in it).
+    device that trains multiplies in it). Material is made in bf16 where the processor multiplies
+    in it, but for "float32".
     """
+
+    storage: str = "float32"
+    """Numbers that the model is stored in: "float32", or "float16" for half the bytes. Weights
+    are rounded at the end of the training, before the calibration."""
+
+    checkpoint: float = 2.0
+    """Minutes between two checkpoints at most, 0.01 .. 100000, beside those of the evaluations."""
 
     run: str = ""
     """Folder for metrics.csv, pictures and checkpoints of the training; none where empty."""
+
+    @classmethod
+    def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Complete the settings of a recipe or a model that is older than some of them."""
+        return {"reduction": "mean", "storage": "float32", "views": (), **settings}
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
@@ -149,6 +177,9 @@ class GanConfig:
         check_name(self.device, DEVICES, name="device")
         check_name(self.precision, PRECISIONS, name="precision")
         check_name(self.orientations, ORIENTATIONS, name="orientations")
+        check_name(self.reduction, REDUCTIONS, name="reduction")
+        check_name(self.storage, STORAGES, name="storage")
+        object.__setattr__(self, "views", as_planes(self.views))
         for name, low, high, whole in _RANGES:
             object.__setattr__(
                 self,
@@ -209,6 +240,7 @@ _RANGES = (
     ("average", 0, 0.99999, False),
     ("clip", 0, 50, False),
     ("minutes", 0, 1e5, False),
+    ("checkpoint", 0.01, 1e5, False),
     ("iterations", 0, 10**8, True),
     ("looks", 1, 1000, True),
     ("patience", 0, 1000, True),

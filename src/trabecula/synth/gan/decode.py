@@ -19,7 +19,7 @@ face could hide its neighbours.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import product
 from typing import Any
@@ -167,7 +167,9 @@ def _gather(labels, z, y, x, edge, voxels):
     return count
 
 
-def calibrate(network: Any, image: Image, seed: int, *, tiles: int | None = None) -> dict[str, Any]:
+def calibrate(
+    network: Any, images: Sequence[Image], seed: int, *, tiles: int | None = None
+) -> dict[str, Any]:
     """Calibrate a generator so that `decode` gives the exemplar's fractions or grey values.
 
     The noise is one that the training never saw.
@@ -176,8 +178,8 @@ def calibrate(network: Any, image: Image, seed: int, *, tiles: int | None = None
     ----------
     network : generator
         As `networks.load_generator` returns it, in the arithmetic of inference.
-    image : Image
-        The exemplar.
+    images : sequence of Image
+        The exemplar, or the pictures.
     seed : int
         Of the training.
     tiles : int, optional
@@ -186,18 +188,19 @@ def calibrate(network: Any, image: Image, seed: int, *, tiles: int | None = None
         spread between samples of 120^3.
     """
     field = held_out_field(network, seed, tiles or network.tiles)
-    if image.kind == "grey":
+    values = np.concatenate([image.values.ravel() for image in images])
+    if images[0].kind == "grey":
         levels = np.linspace(0, 1, _LEVELS)
-        tables = {"from": np.quantile(field[0], levels), "to": np.quantile(image.values, levels)}
+        tables = {"from": np.quantile(field[0], levels), "to": np.quantile(values, levels)}
         # np.interp wants a rising table: of equal levels the first stays.
         rising = np.concatenate([[True], np.diff(tables["from"]) > 0])
         return {
             "kind": "grey",
-            "dtype": str(image.values.dtype),
+            "dtype": str(values.dtype),
             **{k: t[rising].tolist() for k, t in tables.items()},
         }
-    present = np.unique(image.values)
-    fractions = np.bincount(image.values.ravel())[present] / image.values.size
+    present = np.unique(values)
+    fractions = np.bincount(values)[present] / values.size
     offsets = (
         [float(np.quantile(field[0], fractions[0]))]
         if len(present) == 2
@@ -215,11 +218,10 @@ def held_out_field(network: Any, seed: int, tiles: int) -> np.ndarray:
     found = []
     with torch.inference_mode():
         for _ in range(tiles):
-            z = torch.randn(1, network.latent, side, side, side, generator=random).to(weight.dtype)
-            field = network.cells(z.to(memory_format=torch.channels_last_3d))[
-                0, :, ::_EVERY, ::_EVERY, ::_EVERY
-            ]
-            found.append(field.float().flatten(1).numpy())
+            z = torch.randn(1, network.latent, side, side, side, generator=random)
+            z = z.to(weight.device, weight.dtype, memory_format=torch.channels_last_3d)
+            field = network.cells(z)[0, :, ::_EVERY, ::_EVERY, ::_EVERY]
+            found.append(field.float().flatten(1).cpu().numpy())
     return np.concatenate(found, axis=1)
 
 
@@ -310,8 +312,9 @@ def _tile_field(
     normal_cells(latent, key, corner, np.array(periods, np.int64), quantiles())
     torch, weight = need("torch", extra="learn", purpose="method 'gan'"), next(network.parameters())
     with torch.inference_mode():
-        z = torch.from_numpy(latent)[None].to(weight.dtype, memory_format=torch.channels_last_3d)
-        field: np.ndarray = network.cells(z)[0].float().numpy()
+        z = torch.from_numpy(latent)[None]
+        z = z.to(weight.device, weight.dtype, memory_format=torch.channels_last_3d)
+        field: np.ndarray = network.cells(z)[0].float().cpu().numpy()
     return field
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,13 +14,16 @@ from trabecula.core.image import Image
 from trabecula.core.progress import notify
 from trabecula.core.seeds import key
 from trabecula.engine.parallel import thread_count
+from trabecula.exemplar.views import views_of
 from trabecula.measure import euler_density, largest_fraction, two_point
 from trabecula.synth.gan.adversarial import AdversarialPair
 from trabecula.synth.gan.config import GanConfig
+from trabecula.synth.gan.crops import TrainingFields
 from trabecula.synth.gan.decode import calibrate, decode
 from trabecula.synth.gan.log import TrainingLog, load_checkpoint
-from trabecula.synth.gan.losses import sliced
 from trabecula.synth.gan.networks import load_generator
+from trabecula.synth.gan.slices import PictureFields
+from trabecula.synth.shared.content.fields import phases_present
 
 SIDE = 96
 """Voxels along an edge of the volume that is evaluated."""
@@ -63,56 +67,67 @@ class ExemplarComparison:
 
     Parameters
     ----------
-    image : Image
-        The exemplar.
+    images : sequence of Image
+        The exemplar, or the pictures.
+    fields : TrainingFields or PictureFields
+        Of the same.
     seed : int
         Seed of the training: every evaluation has the same latent.
     """
 
-    def __init__(self, image: Image, seed: int) -> None:
-        self.image, self.seed = image, seed
-        self.reach = min(_REACH, min(image.shape) // 2)
-        self.phases = (
-            [int(label) for label in np.unique(image.values)] if image.kind == "labels" else []
-        )
+    def __init__(
+        self, images: Sequence[Image], fields: TrainingFields | PictureFields, config: GanConfig
+    ) -> None:
+        self.images, self.fields, self.seed = images, fields, config.seed
+        self.reach = min(_REACH, min(min(image.shape) for image in images) // 2)
+        labels = images[0].kind == "labels"
+        self.phases = list(phases_present(images)) if labels else []
+        parts: list[tuple[int | None, Image, int | None]] = [(None, images[0], None)]
+        if images[0].ndim == 2:
+            # Along the rows and columns of each plane, as the volume has them along its axes.
+            parts = [
+                (axis, view.image, place)
+                for view in views_of(images, config.views)
+                for place, axis in enumerate(view.across)
+            ]
         self.curves = {
-            label: two_point(image, r_max=self.reach, phase=label) for label in self.phases[1:]
+            label: [
+                (axis, two_point(image, r_max=self.reach, phase=label, axis=own))
+                for axis, image, own in parts
+            ]
+            for label in self.phases[1:]
         }
 
-    def compare(self, network: Any, fields: Tensor) -> tuple[dict[str, float], np.ndarray]:
+    def compare(self, network: Any) -> tuple[dict[str, float], np.ndarray]:
         """Return the figures of a generator, and the middle slice of its volume (values).
 
         Parameters
         ----------
         network : generator
-            Ready for use.
-        fields : (K, Z, Y, X) tensor
-            The exemplar's.
+            Ready for use, on the device of the fields.
         """
         side = SIDE // network.cell + 2 * network.halo
         weight = next(network.parameters())
         random = torch.Generator().manual_seed(int(key(self.seed, "gan/looks")) >> 1)
         with torch.inference_mode():
-            z = torch.randn(1, network.latent, side, side, side, generator=random).to(weight.dtype)
-            field = network.cells(z.to(memory_format=torch.channels_last_3d)).float()
-            common = [
-                slice(min(sides)) for sides in zip(field.shape[2:], fields.shape[1:], strict=True)
-            ]
-            distance = float(
-                sliced(field[(..., *common)], fields[(None, slice(None), *common)], random)
-            )
-        calibration = calibrate(network, self.image, self.seed, tiles=max(1, network.tiles // 64))
-        values = decode(field[0].numpy(), calibration)
+            z = torch.randn(1, network.latent, side, side, side, generator=random)
+            z = z.to(weight.device, weight.dtype, memory_format=torch.channels_last_3d)
+            field = network.cells(z).float()
+            distance = self.fields.distance(field, random)
+        few = max(1, network.tiles // 64)
+        calibration = calibrate(network, self.images, self.seed, tiles=few)
+        values = decode(field[0].cpu().numpy(), calibration)
         found = {"distance": distance}
         if self.curves:
-            found |= self._compare_labels(Image(values, "labels", phases=self.image.phases))
+            found |= self._compare_labels(Image(values, "labels", phases=self.images[0].phases))
         return found, values[len(values) // 2]
 
     def _compare_labels(self, made: Image) -> dict[str, float]:
         distances = []
-        for label, curve in self.curves.items():
-            other = two_point(made, r_max=self.reach, phase=label)
-            distances.append(float(np.linalg.norm(other - curve) / np.linalg.norm(curve)))
+        for label, parts in self.curves.items():
+            for axis, curve in parts:
+                other = two_point(made, r_max=self.reach, phase=label, axis=axis)
+                distances.append(float(np.linalg.norm(other - curve) / np.linalg.norm(curve)))
         last = made.phases[self.phases[-1]]
         return {
             "two_point": float(np.mean(distances)),
@@ -159,13 +174,16 @@ class TrainingState:
 class Evaluator:
     """Evaluations of a training from time to time, and at its end."""
 
-    def __init__(self, config: GanConfig, image: Image, fields: Tensor) -> None:
-        self.config, self.image, self.fields = config, image, fields
-        self.comparison, self.log = ExemplarComparison(image, config.seed), TrainingLog(config.run)
+    def __init__(
+        self, config: GanConfig, images: Sequence[Image], fields: TrainingFields | PictureFields
+    ) -> None:
+        self.config, self.images = config, images
+        self.comparison = ExemplarComparison(images, fields, config)
+        self.log = TrainingLog(config.run)
 
     def resume(self, pair: AdversarialPair) -> TrainingState:
         """Return the state at the checkpoint of the same run, or at its start."""
-        found = load_checkpoint(self.config, self.image)
+        found = load_checkpoint(self.config, self.images)
         if found is None:
             return TrainingState()
         state = TrainingState(**found.plain["state"])
@@ -178,7 +196,9 @@ class Evaluator:
         self, pair: AdversarialPair, state: TrainingState, step_losses: dict[str, float]
     ) -> float:
         """Evaluate and log; return the figure that says how near the generator is."""
-        found, middle = self.comparison.compare(self._inference_network(pair), self.fields)
+        weights = {name: tensor.cpu().numpy() for name, tensor in pair.ema.state_dict().items()}
+        network = load_generator(self.config, pair.channels, weights, pair.device)
+        found, middle = self.comparison.compare(network)
         clock = {"iteration": state.iteration, "minutes": state.seconds / 60}
         self.log.add({**clock, **step_losses, **found}, middle)
         return found.get("two_point", found["distance"])
@@ -187,9 +207,14 @@ class Evaluator:
         """Evaluate a last time and return the parts of a model."""
         self.evaluate(pair, state, {})
         names = ("distance", "two_point", "largest", "euler")
+        stored = {
+            name: round_weights(tensor.cpu().numpy(), self.config.storage)
+            for name, tensor in pair.ema.state_dict().items()
+        }
+        network = load_generator(self.config, pair.channels, stored, pair.device)
         return {
-            "generator": {name: tensor.cpu() for name, tensor in pair.ema.state_dict().items()},
-            "calibration": calibrate(self._inference_network(pair), self.image, self.config.seed),
+            "generator": stored,
+            "calibration": calibrate(network, self.images, self.config.seed),
             "training": {
                 "iterations": state.iteration,
                 "minutes": round(state.seconds / 60, 2),
@@ -202,7 +227,11 @@ class Evaluator:
             },
         }
 
-    def _inference_network(self, pair: AdversarialPair) -> Any:
-        """Build the averaged generator for inference: on the processor, in that arithmetic."""
-        weights = {name: tensor.cpu().numpy() for name, tensor in pair.ema.state_dict().items()}
-        return load_generator(self.config, pair.channels, weights)
+
+def round_weights(array: np.ndarray, storage: str) -> np.ndarray:
+    """Round float32 weights to a storage; those that float16 cannot hold stay as they are."""
+    if storage == "float32" or array.dtype.kind != "f":
+        return array
+    if array.size and float(abs(array).max()) > float(np.finfo(np.float16).max):
+        return array
+    return array.astype(np.float16)

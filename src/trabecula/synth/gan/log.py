@@ -23,7 +23,10 @@ from trabecula.core.recipe import digest
 from trabecula.engine.files import UNREADABLE, replacing
 from trabecula.synth.gan.config import GanConfig
 
-_CHECKPOINT, _ABOUT, _FORMAT = "training.npz", "about", 2
+_CHECKPOINT, _ABOUT, _FORMAT = "training.npz", "about", 3
+
+_FREE = ("run", "minutes", "looks", "patience", "checkpoint", "storage", "batch")
+"""Settings that another run may have and still resume; the batch is checked by itself."""
 
 _WIDTH, _HEIGHT, _MARGIN, _SLICE = 960, 300, 30, 150  # of the plot, pixels
 _SHOWN = 6  # slices along the curve
@@ -138,20 +141,26 @@ class TrainingCheckpoint:
 
 
 def save_checkpoint(
-    config: GanConfig, image: Image, tensors: Mapping[str, Any], plain: Mapping[str, Any]
+    config: GanConfig, images: Sequence[Image], tensors: Mapping[str, Any], plain: Mapping[str, Any]
 ) -> None:
-    """Write a checkpoint into the folder of the run, if there is one."""
+    """Write a checkpoint into the folder of the run, if there is one: a cut leaves the last whole
+    one.
+    """
     if not config.run:
         return
-    about = json.dumps({"identity": _identity(config, image), **plain}).encode()
+    words = {"identity": _identity(config, images), "batch": config.batch, **plain}
+    about = json.dumps(words).encode()
     with replacing(Path(config.run) / _CHECKPOINT) as temporary, temporary.open("wb") as stream:
         arrays = {f"state.{name}": tensor.cpu().numpy() for name, tensor in tensors.items()}
         arrays[_ABOUT] = np.frombuffer(about, np.uint8)
         np.savez(stream, **arrays)
 
 
-def load_checkpoint(config: GanConfig, image: Image) -> TrainingCheckpoint | None:
-    """Read the checkpoint of the same run; None where there is none."""
+def load_checkpoint(config: GanConfig, images: Sequence[Image]) -> TrainingCheckpoint | None:
+    """Read the checkpoint of the same run; None where there is none.
+
+    One of a run that ended for want of memory is that of a smaller batch, too.
+    """
     path = Path(config.run or ".") / _CHECKPOINT
     if not config.run or not path.exists():
         return None
@@ -164,7 +173,10 @@ def load_checkpoint(config: GanConfig, image: Image) -> TrainingCheckpoint | Non
     except UNREADABLE as error:
         notify(f"{path.name} is damaged ({error}): starting from the beginning")
         return None
-    if about.pop("identity", None) != _identity(config, image):
+    fits = about.get("batch") == config.batch or (
+        about.get("out_of_memory") and config.batch < about.get("batch", 0)
+    )
+    if about.pop("identity", None) != _identity(config, images) or not fits:
         notify(f"{path.name} was left by another training: starting from the beginning")
         return None
     torch = need("torch", extra="learn", purpose="method 'gan'")
@@ -173,18 +185,28 @@ def load_checkpoint(config: GanConfig, image: Image) -> TrainingCheckpoint | Non
     )
 
 
-def _identity(config: GanConfig, image: Image) -> str:
-    """Return the SHA-256 of all that the training depends on; its length may change."""
-    settings = {
-        name: value
-        for name, value in asdict(config).items()
-        if name not in ("run", "minutes", "looks", "patience")
-    }
+def checkpoint_words(folder: Path) -> dict[str, Any]:
+    """Return the plain part of the checkpoint in a folder, whatever training left it; empty where
+    there is none.
+    """
+    try:
+        with np.load(folder / _CHECKPOINT, allow_pickle=False) as stored:
+            found: dict[str, Any] = json.loads(bytes(stored[_ABOUT]))
+            return found
+    except UNREADABLE:
+        return {}
+
+
+def _identity(config: GanConfig, images: Sequence[Image]) -> str:
+    """Return the SHA-256 of all that the training depends on but its batch; its length may
+    change.
+    """
+    settings = {name: value for name, value in asdict(config).items() if name not in _FREE}
     torch = need("torch", extra="learn", purpose="method 'gan'")
     parts = {
         "format": _FORMAT,
         "settings": settings,
-        "exemplar": digest(image.values),
+        "exemplar": [digest(image.values) for image in images],
         "torch": str(torch.__version__),
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

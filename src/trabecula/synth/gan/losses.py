@@ -1,21 +1,25 @@
 """The losses: adversarial, sliced transport, and the paper's on the discriminator's features.
 
-The gram (section 3.3) and the structural loss (section 3.2, equations 3 and 4) are means rather
-than the sums of the paper's equations, so that their weights do not depend on the size of a crop.
+The gram (section 3.3) and the structural loss (section 3.2, equations 3 and 4) are means, so that
+their weights do not depend on the size of a crop, or the sums that the paper prints.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import avg_pool3d, conv3d, softplus
+from torch.nn.functional import avg_pool2d, avg_pool3d, conv2d, conv3d, softplus
 
 from trabecula.synth.gan.networks import Score
 
 SLICES = 4
 """Equally spaced slices along every axis that the gram loss looks at."""
+
+TABLE, CHUNK = 16, 4
+"""Crops that hold the candidates of the structural loss, and how many of them at once."""
 
 EDGES = (8, 4, 2)
 """Edge and stride of the cubical regions of the structural loss, voxels of each of the first three
@@ -67,7 +71,7 @@ def sliced(
 
     Parameters
     ----------
-    fake, real : (B, K, Z, Y, X) tensor
+    fake, real : (B, K, Z, Y, X) tensor, or of slices (B, K, Y, X)
     random : torch.Generator
         Source of the directions and of the first place of the grid of neighbourhoods.
     width : int
@@ -78,18 +82,19 @@ def sliced(
         Each has half the resolution of the one before, and twice as dense a grid.
     """
     total = torch.zeros((), device=fake.device)
+    axes = fake.ndim - 2
+    halve = avg_pool3d if axes == 3 else avg_pool2d
     for scale in range(scales):
         step = max(1, 4 >> scale)
         directions = torch.randn(
-            count, fake.shape[1], width, width, width, generator=random, device=random.device
+            count, fake.shape[1], *(width,) * axes, generator=random, device=random.device
         )
-        directions = (directions / directions.flatten(1).norm(dim=1)[:, None, None, None, None]).to(
-            fake.device
-        )
-        starts = torch.randint(0, step, (3,), generator=random, device=random.device).tolist()
+        lengths = directions.flatten(1).norm(dim=1).reshape(-1, *(1,) * (axes + 1))
+        directions = (directions / lengths).to(fake.device)
+        starts = torch.randint(0, step, (axes,), generator=random, device=random.device).tolist()
         a, b = (_sort_projections(volume, directions, starts, step) for volume in (fake, real))
         total = total + (a - b).square().mean()
-        fake, real = avg_pool3d(fake, 2), avg_pool3d(real, 2)
+        fake, real = halve(fake, 2), halve(real, 2)
     return total
 
 
@@ -97,12 +102,13 @@ def _sort_projections(
     volume: Tensor, directions: Tensor, starts: Sequence[int], step: int
 ) -> Tensor:
     """Return (directions, places), the sorted projections of neighbourhoods on directions."""
-    z, y, x = starts
-    products = conv3d(volume[:, :, z:, y:, x:], directions, stride=step)
+    beyond = volume[(slice(None), slice(None), *(slice(start, None) for start in starts))]
+    convolve = conv3d if len(starts) == 3 else conv2d
+    products = convolve(beyond, directions, stride=step)
     return torch.sort(products.movedim(1, 0).flatten(1), dim=1).values
 
 
-def gram(fake: Sequence[Tensor], real: Sequence[Tensor]) -> Tensor:
+def gram(fake: Sequence[Tensor], real: Sequence[Tensor], *, reduction: str = "mean") -> Tensor:
     """Return the squared distance of the gram matrices of slices in three directions, a sum over
     layers, a mean over crops.
 
@@ -110,19 +116,28 @@ def gram(fake: Sequence[Tensor], real: Sequence[Tensor]) -> Tensor:
     ----------
     fake, real : sequence of (B, C, Z, Y, X) tensor
         Features of the layers.
+    reduction : {"mean", "sum"}
+        "mean": products are means over the voxels of a slice, distances over slices and pairs of
+        features. "sum": both are sums (section 3.3).
     """
-    return sum(
-        (
-            (_gram_matrices(a) - _gram_matrices(b.detach())).square().mean()
-            for a, b in zip(fake, real, strict=True)
-        ),
-        torch.zeros((), device=fake[0].device),
-    )
+    total = torch.zeros((), device=fake[0].device)
+    # The printed sums grow with the slices: products in bf16 would keep two digits of them.
+    exact = torch.autocast(fake[0].device.type, enabled=False)
+    with exact if reduction == "sum" else nullcontext():
+        for a, b in zip(fake, real, strict=True):
+            apart = _gram_matrices(a, reduction) - _gram_matrices(b.detach(), reduction)
+            total = total + _reduce(apart.square(), reduction, crops=len(a))
+    return total
 
 
-def _gram_matrices(features: Tensor) -> Tensor:
-    """Return (B, 3 directions, slices, C, C), the products of every two features, each a mean over
-    the voxels of a slice.
+def _reduce(squares: Tensor, reduction: str, *, crops: int) -> Tensor:
+    """Return the mean of squares, or their sum over one crop, a mean over crops."""
+    return squares.mean() if reduction == "mean" else squares.sum() / crops
+
+
+def _gram_matrices(features: Tensor, reduction: str) -> Tensor:
+    """Return (B, 3 directions, slices, C, C), the products of every two features, each a mean or a
+    sum over the voxels of a slice.
     """
     found = []
     for axis in (2, 3, 4):
@@ -130,7 +145,8 @@ def _gram_matrices(features: Tensor) -> Tensor:
         at = torch.arange(SLICES, device=features.device) * side // SLICES + side // (2 * SLICES)
         # (B, slices, C, voxels)
         flat = features.index_select(axis, at).movedim(axis, 1).flatten(3).float()
-        found.append(flat @ flat.transpose(2, 3) / flat.shape[3])
+        products = flat @ flat.transpose(2, 3)
+        found.append(products / flat.shape[3] if reduction == "mean" else products)
     return torch.stack(found, 1)
 
 
@@ -150,9 +166,11 @@ class CandidateTable:
         self.crops = crops
         self.chunk = chunk
 
-    def loss(self, discriminator: Score, fake: Sequence[Tensor]) -> Tensor:
-        """Return the mean squared distance of the regions of generated features to the nearest of
-        the exemplar, a sum over layers.
+    def loss(
+        self, discriminator: Score, fake: Sequence[Tensor], *, reduction: str = "mean"
+    ) -> Tensor:
+        """Return the squared distance of the regions of generated features to the nearest of the
+        exemplar, a sum over layers, a mean over crops.
 
         Parameters
         ----------
@@ -160,12 +178,14 @@ class CandidateTable:
             The discriminator after its latest step: it gives the candidates' features.
         fake : sequence of (B, C, Z, Y, X) tensor
             Its features of generated crops.
+        reduction : {"mean", "sum"}
+            "mean": a mean over regions and their numbers. "sum": the sums of equations 3 and 4.
         """
         queries = [cubes_of(layer, edge) for layer, edge in zip(fake, EDGES, strict=True)]
         nearest = self._nearest(discriminator, [cubes.detach() for cubes in queries])
         return sum(
             (
-                (cubes.float() - match.float()).square().mean()
+                _reduce((cubes.float() - match.float()).square(), reduction, crops=len(fake[0]))
                 for cubes, match in zip(queries, nearest, strict=True)
             ),
             torch.zeros((), device=fake[0].device),

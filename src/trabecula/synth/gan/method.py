@@ -9,19 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.core.errors import RequestError
+from trabecula.core.checks import as_spacing
+from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.optional import need
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.blocks import Box
 from trabecula.engine.parallel import thread_count
+from trabecula.exemplar.views import spacing_of, views_of
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method, ModelState
 from trabecula.synth.api.windows import WindowModel
 from trabecula.synth.gan import CAPABILITIES
 from trabecula.synth.gan.config import GanConfig
 from trabecula.synth.gan.decode import CELLS, decode, make_tiles, margin_cells
+from trabecula.synth.shared.pictures import check_pictures_agree
 
 PROCESS = 485 << 20
 """Bytes of the interpreter with NumPy, Numba and torch loaded."""
@@ -40,14 +43,37 @@ class Gan(Method):
         need("torch", extra="learn", purpose="method 'gan'")
         from trabecula.synth.gan.train import train
 
-        return GanModel(self.config, exemplars, train(self.config, exemplars[0]))
+        parts = train(self.config, exemplars)
+        if exemplars[0].ndim == 2:
+            spacing = spacing_of(views_of(exemplars, self.config.views))
+            parts["spacing"] = [float(edge) for edge in spacing]
+        return GanModel(self.config, exemplars, parts)
 
     def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
+        """Forecast the bytes of the process; those of a GPU are checked when it trains."""
         need("torch", extra="learn", purpose="method 'gan'")
-        from trabecula.synth.gan.train import training_bytes
+        from trabecula.synth.gan.forecast import host_bytes
+        from trabecula.synth.gan.train import find_device
 
-        process = PROCESS + _AUTOGRAD
-        return {"interpreter and kernels": process, **training_bytes(self.config, exemplars[0])}
+        found = host_bytes(self.config, exemplars, find_device(self.config))
+        return {"interpreter and kernels": PROCESS + _AUTOGRAD, **found}
+
+    def _check_exemplars(self, images: Sequence[Image]) -> None:
+        if all(image.ndim == 3 for image in images):
+            if len(images) > 1:
+                raise InputError(f"method 'gan' learns from one volume, got {len(images)}")
+            self._check_exemplar(images[0])
+            return
+        for image in images:
+            self._check_exemplar(image)
+        if any(image.ndim == 3 for image in images):
+            raise InputError("method 'gan' learns from one volume, or from pictures: not from both")
+        check_pictures_agree(images)
+        if self.config.discriminator != "scales":
+            raise InputError(
+                f"discriminator={self.config.discriminator!r} judges volumes: from pictures it is "
+                "'scales'"
+            )
 
     def from_state(self, exemplars: Sequence[Any], state: ModelState) -> GanModel:
         """Build the model that `GanModel.state` described."""
@@ -78,6 +104,29 @@ class GanModel(WindowModel):
         weights = {name: _as_array(tensor) for name, tensor in parts["generator"].items()}
         self.parts = {**parts, "generator": weights}
         self._network: Any = None
+        self._device = "cpu"
+
+    def on(self, device: str) -> GanModel:
+        """Return the same model, which makes material on a device.
+
+        Parameters
+        ----------
+        device : {"cpu", "cuda", "auto"}
+            A model that was trained or loaded makes material on the processor. A GPU is faster,
+            and gives other values to a few voxels next to the threshold; the recipe names it.
+
+        Raises
+        ------
+        InputError
+            PyTorch finds no GPU.
+        """
+        need("torch", extra="learn", purpose="method 'gan'")
+        from trabecula.synth.gan.train import find_device
+
+        found = GanModel(self.config, self.facts, self.parts)
+        found.name = self.name
+        found._device = find_device(replace(self.config, device=device)).type
+        return found
 
     @property
     def calibration(self) -> Mapping[str, Any]:
@@ -103,21 +152,31 @@ class GanModel(WindowModel):
 
     @property
     def network(self) -> Any:
-        """Return the generator on the processor, so that the training device does not matter."""
+        """Return the generator: on the processor, whatever trained it, unless `on` says other."""
         if self._network is None:
-            need("torch", extra="learn", purpose="method 'gan'")
+            torch = need("torch", extra="learn", purpose="method 'gan'")
             from trabecula.synth.gan.networks import load_generator
 
-            self._network = load_generator(self.config, self.channels, self.parts["generator"])
+            self._network = load_generator(
+                self.config,
+                self.channels,
+                self.parts["generator"],
+                torch.device(self._device),
+            )
         return self._network
 
     def state(self) -> ModelState:
-        """Return the weights, the calibration and the history of the training."""
-        return ModelState(
-            self.parts["generator"],
-            {"calibration": self.calibration},
-            dict(self.parts.get("training", {})),
-        )
+        """Return the weights, the calibration and the history of the training; of pictures the
+        spacing of the volume.
+        """
+        plain = {"calibration": self.calibration}
+        if "spacing" in self.parts:
+            plain["spacing"] = self.parts["spacing"]
+        return ModelState(self.parts["generator"], plain, dict(self.parts.get("training", {})))
+
+    def _result_fields(self) -> dict[str, Any]:
+        found = super()._result_fields()
+        return {**found, "spacing": tuple(self.parts.get("spacing", found["spacing"]))}
 
     def make_box(self, request: Request, box: Box) -> np.ndarray:
         network = self.network
@@ -147,7 +206,11 @@ class GanModel(WindowModel):
         torch = need("torch", extra="learn", purpose="method 'gan'")
         from trabecula.synth.gan.networks import arithmetic
 
-        return {"torch": str(torch.__version__), "arithmetic": arithmetic(self.config)}
+        found = {
+            "torch": str(torch.__version__),
+            "arithmetic": arithmetic(self.config, torch.device(self._device)),
+        }
+        return found if self._device == "cpu" else {**found, "device": self._device}
 
     def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
         need("torch", extra="learn", purpose="method 'gan'")
@@ -156,10 +219,15 @@ class GanModel(WindowModel):
         weights = sum(array.nbytes for array in self.parts["generator"].values())
         cells = CELLS + margin_cells(self.specks)
         edge = cells * self.config.cell
+        made = (
+            inference_bytes(self.config, self.channels, cells)
+            if self._device == "cpu"
+            else 2 * 4 * self.channels * edge**3  # the field on its way from the GPU
+        )
         return {
             "interpreter and kernels": PROCESS,
             "exemplar": 2 * weights,
-            "network": thread_count() * inference_bytes(self.config, self.channels, cells),
+            "network": thread_count() * made,
             "tiles": thread_count() * 3 * edge**3 * self.dtype.itemsize + _LATENT,
         }
 
@@ -186,6 +254,8 @@ def build_model(
         _check_table(calibration)
     else:
         _check_labels(calibration, len(facts[0].phases))
+    if facts[0].ndim == 2:
+        as_spacing(parts["spacing"], ndim=3)
     model = GanModel(config, facts, parts)
     _ = model.network  # which checks the weights
     return model

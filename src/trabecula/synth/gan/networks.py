@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import avg_pool3d, leaky_relu
+from torch.nn.functional import avg_pool2d, avg_pool3d, leaky_relu
 
 from trabecula.synth.gan.config import GanConfig
 
@@ -112,11 +112,13 @@ def depth_to_space(x: Tensor) -> Tensor:
 
 
 def space_to_depth(x: Tensor) -> Tensor:
-    """Invert `depth_to_space`."""
-    b, k, z, y, w = x.shape
-    x = x.permute(0, 2, 3, 4, 1).reshape(b, z // 2, 2, y // 2, 2, w // 2, 2, k)
-    x = x.permute(0, 1, 3, 5, 2, 4, 6, 7).reshape(b, z // 2, y // 2, w // 2, 8 * k)
-    return x.permute(0, 4, 1, 2, 3)
+    """Invert `depth_to_space`; of slices (B, K, Y, X) four pixels become channels."""
+    b, k, *sides = x.shape
+    axes = len(sides)
+    x = x.movedim(1, -1).reshape(b, *(n for side in sides for n in (side // 2, 2)), k)
+    places, inner = range(1, 2 * axes, 2), range(2, 2 * axes + 1, 2)
+    x = x.permute(0, *places, *inner, 2 * axes + 1)
+    return x.reshape(b, *(side // 2 for side in sides), 2**axes * k).movedim(-1, 1)
 
 
 def blur(x: Tensor) -> Tensor:
@@ -174,11 +176,46 @@ class Deconvolution(nn.Module):
         return self.layers(torch.erf(z * 0.5**0.5))  # uniform in -1 .. 1, as the paper's
 
     def cells(self, z: Tensor) -> Tensor:
-        """Return the voxels out of reach of padding: 64 less on one side, 80 on the other."""
-        x = self(z)
-        for axis in (2, 3, 4):
-            x = x.narrow(axis, 64, (z.shape[axis] - 6) * 16)
+        """Return the voxels out of reach of padding: 64 less on one side, 80 on the other.
+
+        Each layer makes only what the next one needs of it: 128^3 voxels instead of 272^3.
+        """
+        x = torch.erf(z * 0.5**0.5)
+        spans = [(64, 64 + 16 * (side - 6)) for side in z.shape[2:]]
+        steps = []
+        for layer in reversed(list(self.layers)):
+            needed = [_inputs_of(layer, *span) for span in spans]
+            steps.append((layer, needed, spans))
+            spans = needed
+        x = _narrow(x, spans, [0, 0, 0])
+        for layer, needed, spans in reversed(steps):
+            x = layer(x)
+            if isinstance(layer, (nn.Conv3d, nn.ConvTranspose3d)):
+                # Without the inputs before `needed`, the first output is that of its first.
+                step = layer.stride[0] if isinstance(layer, nn.ConvTranspose3d) else 1
+                x = _narrow(x, spans, [first * step for first, _ in needed])
         return x
+
+
+def _inputs_of(layer: nn.Module, first: int, last: int) -> tuple[int, int]:
+    """Return the inputs, first and the one after the last, that outputs first .. last - 1 of a
+    layer along an axis depend on.
+
+    A transposed convolution gives o = stride i - padding + k, k = 0 .. kernel - 1, of input i.
+    """
+    if not isinstance(layer, (nn.Conv3d, nn.ConvTranspose3d)):
+        return first, last
+    kernel, step, padding = layer.kernel_size[0], layer.stride[0], int(layer.padding[0])
+    if isinstance(layer, nn.ConvTranspose3d):
+        return -(-(first + padding - kernel + 1) // step), (last - 1 + padding) // step + 1
+    return first - padding, last - 1 - padding + kernel
+
+
+def _narrow(x: Tensor, spans: list[tuple[int, int]], offsets: list[int]) -> Tensor:
+    """Return the part of (B, C, Z, Y, X) within spans; its first voxels are at `offsets`."""
+    for axis, ((first, last), offset) in enumerate(zip(spans, offsets, strict=True), start=2):
+        x = x.narrow(axis, first - offset, last - first)
+    return x
 
 
 class TwoScales(nn.Module):
@@ -188,17 +225,21 @@ class TwoScales(nn.Module):
     Parameters
     ----------
     width, channels : int
+    axes : int
+        3 for crops of volumes, 2 for slices.
     """
 
-    def __init__(self, width: int, channels: int) -> None:
+    def __init__(self, width: int, channels: int, *, axes: int = 3) -> None:
         super().__init__()
+        convolution = nn.Conv3d if axes == 3 else nn.Conv2d
+        self.halve = avg_pool3d if axes == 3 else avg_pool2d
         self.near, self.far = (
             nn.ModuleList(
                 [
-                    nn.Conv3d(8 * channels, 2 * width, 3),
-                    nn.Conv3d(2 * width, 4 * width, 4, 2),
-                    nn.Conv3d(4 * width, 8 * width, 3),
-                    nn.Conv3d(8 * width, 1, 1),
+                    convolution(2**axes * channels, 2 * width, 3),
+                    convolution(2 * width, 4 * width, 4, 2),
+                    convolution(4 * width, 8 * width, 3),
+                    convolution(8 * width, 1, 1),
                 ]
             )
             for _ in range(2)
@@ -208,13 +249,14 @@ class TwoScales(nn.Module):
             nn.init.zeros_(layer.bias)
 
     def forward(self, x: Tensor) -> list[Tensor]:
-        """Return the verdicts (B, 1, ...) on (B, K, Z, Y, X), multiples of 4 and at least 40.
+        """Return the verdicts (B, 1, ...) on (B, K, Z, Y, X), multiples of 4 and at least 40; or
+        on slices (B, K, Y, X).
 
         The near ones come from the middle: there are many of them, and they are expensive.
         """
         return [
             _verdicts(self.near, crop_centre(x, *(min(side, _MIDDLE) for side in x.shape[2:]))),
-            _verdicts(self.far, avg_pool3d(x, 2)),
+            _verdicts(self.far, self.halve(x, 2)),
         ]
 
 
@@ -276,8 +318,22 @@ def _init_dcgan(layer: nn.Module) -> None:
         nn.init.zeros_(layer.bias)
 
 
-def load_generator(config: GanConfig, channels: int, weights: Mapping[str, np.ndarray]) -> Any:
-    """Build a generator with stored weights, for inference on the processor.
+def load_generator(
+    config: GanConfig,
+    channels: int,
+    weights: Mapping[str, np.ndarray],
+    device: torch.device | None = None,
+) -> Any:
+    """Build a generator with stored weights, for inference.
+
+    Parameters
+    ----------
+    config : GanConfig
+    channels : int
+        Of its output.
+    weights : mapping of str to array
+    device : torch.device, optional
+        Default: the processor.
 
     Raises
     ------
@@ -302,18 +358,36 @@ def load_generator(config: GanConfig, channels: int, weights: Mapping[str, np.nd
         {name: torch.from_numpy(np.array(array)) for name, array in weights.items()}, assign=True
     )
     network.eval().requires_grad_(False)
-    return network.to(dtype_of(arithmetic(config)), memory_format=torch.channels_last_3d)
+    dtype = dtype_of(arithmetic(config, device))
+    return network.to(device, dtype, memory_format=torch.channels_last_3d)
 
 
-def arithmetic(config: GanConfig) -> str:
-    """Return the arithmetic of inference: "bf16" where the processor multiplies in it, else
+def arithmetic(config: GanConfig, device: torch.device | None = None) -> str:
+    """Return the arithmetic of inference: "bf16" where the device multiplies in it, else
     "float32".
+
+    Parameters
+    ----------
+    config : GanConfig
+    device : torch.device, optional
+        Default: the processor.
     """
-    known = [
-        getattr(torch.cpu, f"_is_{name}_supported", lambda: False)()
-        for name in ("avx512_bf16", "amx_tile")
-    ]
-    return "bf16" if any(known) and config.precision != "float32" else "float32"
+    return "bf16" if _has_bf16(device) and config.precision != "float32" else "float32"
+
+
+def training_arithmetic(config: GanConfig, device: torch.device) -> str:
+    """Return the arithmetic of a training on a device: the config's where it names one."""
+    if config.precision != "auto":
+        return config.precision
+    return "bf16" if _has_bf16(device) else "float32"
+
+
+def _has_bf16(device: torch.device | None) -> bool:
+    """Tell whether a device multiplies in bf16: a GPU from compute capability 8 on."""
+    if device is not None and device.type == "cuda":
+        return torch.cuda.get_device_capability(device)[0] >= 8
+    known = ("avx512_bf16", "amx_tile")
+    return any(getattr(torch.cpu, f"_is_{name}_supported", lambda: False)() for name in known)
 
 
 def dtype_of(name: str) -> torch.dtype:

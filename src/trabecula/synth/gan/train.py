@@ -1,4 +1,4 @@
-"""Training: the exemplar as fields and random crops of them, one loop, and the memory it takes.
+"""Training: one loop, its checkpoints, and what it says where it cannot go on.
 
 Random numbers are functions of seed and iteration, so that a run resumes where it stopped.
 """
@@ -6,201 +6,168 @@ Random numbers are functions of seed and iteration, so that a run resumes where 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from itertools import permutations, product
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import torch
-from torch import Tensor, nn
 
 from trabecula.core.errors import InputError, MemoryBudgetError, TrainingError
 from trabecula.core.image import Image
 from trabecula.core.progress import notify, report
-from trabecula.core.seeds import generator, key
+from trabecula.core.seeds import key
 from trabecula.engine.parallel import thread_count
 from trabecula.synth.gan.adversarial import AdversarialPair
 from trabecula.synth.gan.config import GanConfig
-from trabecula.synth.gan.decode import CELLS
-from trabecula.synth.gan.evaluation import SIDE, Evaluator, TrainingState, failure
+from trabecula.synth.gan.crops import TrainingFields, fields_of
+from trabecula.synth.gan.evaluation import Evaluator, TrainingState, failure
+from trabecula.synth.gan.forecast import check_device_memory
 from trabecula.synth.gan.log import save_checkpoint
-from trabecula.synth.gan.losses import CandidateTable
-from trabecula.synth.gan.networks import arithmetic, new_discriminator, new_generator
-from trabecula.synth.shared.content.fields import phase_fields
-
-_TAIL = 0.001  # share of grey values beyond each end of the range that is stretched over -1 .. 1
-
-Turn = tuple[tuple[int, ...], tuple[int, ...]]
-"""Order of the axes 1, 2, 3 of a field, and the axes that are then flipped."""
-
-
-@dataclass(frozen=True)
-class TrainingFields:
-    """The fields of an exemplar, and the orientations in which crops are taken.
-
-    Parameters
-    ----------
-    values : (K, Z, Y, X) float32 tensor
-        In -1 .. 1: one channel for two phases, rising into that of the higher label, and for grey;
-        else one for each phase.
-    turns : tuple
-        The orientations that count as alike.
-    crop : int
-        Edge of a crop, voxels.
-    """
-
-    values: Tensor
-    turns: tuple[Turn, ...]
-    crop: int
-
-    def crops(self, count: int, seed: int, iteration: int) -> Tensor:
-        """Return (count, K, crop, crop, crop), random in place and orientation.
-
-        They are a function of seed and iteration alone.
-        """
-        random = generator(seed, "gan/crops", iteration)
-        c = self.crop
-        starts = random.integers(0, np.asarray(self.values.shape[1:]) - c + 1, (count, 3)).tolist()
-        turns = random.integers(0, len(self.turns), count).tolist()
-        parts = []
-        for (z, y, x), turn in zip(starts, turns, strict=True):
-            order, flipped = self.turns[turn]
-            part = self.values[:, z : z + c, y : y + c, x : x + c]
-            parts.append(part.permute(0, *order).flip(flipped))
-        return torch.stack(parts)
-
-    def on(self, device: torch.device) -> TrainingFields:
-        """Return the same on a device."""
-        return replace(self, values=self.values.to(device))
-
-
-def exemplar_fields(image: Image, config: GanConfig) -> TrainingFields:
-    """Return the fields of an exemplar."""
-    if image.kind == "grey":
-        low, high = grey_range(image.values)
-        values = np.clip(
-            (image.values.astype(np.float32) - low) * np.float32(2 / (high - low)) - 1, -1, 1
-        )[None]
-    else:
-        values, _ = phase_fields(image)
-        # A distance counts where an interface is near; tanh keeps it smooth where it saturates.
-        clipped = np.clip(values, -config.clip, config.clip)
-        values = np.tanh(clipped / 2) if config.clip else np.sign(values)
-    values = np.ascontiguousarray(values, np.float32)
-    return TrainingFields(torch.from_numpy(values), turns_of(config.orientations), config.crop)
-
-
-def grey_range(values: np.ndarray) -> tuple[float, float]:
-    """Return the grey values at -1 and at 1."""
-    low, high = np.quantile(values, [_TAIL, 1 - _TAIL])
-    return float(low), float(high)
-
-
-def turns_of(orientations: str) -> tuple[Turn, ...]:
-    """List the orientations of a setting.
-
-    Inverted through a point a material has the same two-point function along every direction;
-    mirrored it has the same along the axes.
-    """
-    orders = list(permutations((1, 2, 3))) if orientations == "all" else [(1, 2, 3)]
-    flips: list[tuple[int, ...]] = [()]
-    if orientations == "inverted":
-        flips.append((1, 2, 3))
-    elif orientations in ("mirrors", "all"):
-        flips = [
-            tuple(axis for axis, on in zip((1, 2, 3), chosen, strict=True) if on)
-            for chosen in product((0, 1), repeat=3)
-        ]
-    return tuple(product(orders, flips))
-
-
-TABLE, CHUNK = 16, 4
-"""Crops that hold the candidates of the structural loss, and how many of them at once."""
+from trabecula.synth.gan.losses import CHUNK, TABLE, CandidateTable
+from trabecula.synth.gan.slices import PictureFields
 
 _CHECK = 10  # iterations between two checks for failure
 _YOUNG = 0.1  # share of the training after the warm-up in which everything may still look alike
 _RESTARTS = 4
 _SLOWER = 0.5  # the rate after a restart, times the one before
-_COPIES = 4  # of the weights: their gradients, two moments and the last good state
-# Results of a layer that backpropagation holds: its own, rearranged, and after the activation.
-_RESULTS = 5
-# Times as much in float32, where a processor lacks bf16: convolutions rearrange more, and the same
-# training had peaks between 1.0 and 2.1 GB.
-_REARRANGED = 2.6
-# Bytes a voxel of the crops in the sliced loss: products along 32 directions at every fourth,
-# sorted, with their places.
-_SLICED = 24
 
 
-def train(config: GanConfig, image: Image) -> dict[str, Any]:
-    """Train on an exemplar.
+def train(config: GanConfig, given: Image | Sequence[Image]) -> dict[str, Any]:
+    """Train on an exemplar, or on pictures.
 
     Parameters
     ----------
     config : GanConfig
-    image : Image
-        Labels or grey, at least a crop along every axis.
+    given : Image, or sequence of Image
+        Labels or grey, at least a crop along every axis: one volume, or pictures for the views of
+        the config.
 
     Returns
     -------
     state : dict
-        "generator": weights by name; "calibration": see `decode`; "training": its history,
-        plain JSON.
+        "generator": arrays by name; "calibration": see `decode`; "training": its history, plain
+        JSON.
 
     Raises
     ------
     InputError
         The exemplar is smaller than a crop; no such device.
     MemoryBudgetError
-        The graphics card has too little memory.
+        The graphics card has too little memory: before the training by the forecast, or in it.
     TrainingError
         It diverged or collapsed again and again.
     """
-    check_size(image, config)
-    fields = exemplar_fields(image, config).on(find_device(config))
-    with _package_threads(), _explain_memory(config):
-        return _run(config, image, fields)
+    images = [given] if isinstance(given, Image) else list(given)
+    for image in images:
+        check_size(image, config)
+    device = find_device(config)
+    check_device_memory(config, images, device)
+    fields = fields_of(images, config).on(device)
+    with _package_threads():
+        return _Training(config, images, fields).run()
 
 
-def _run(config: GanConfig, image: Image, fields: TrainingFields) -> dict[str, Any]:
-    pair = AdversarialPair(config, len(fields.values), fields.values.device)
-    if config.structural:
-        candidates = fields.crops(min(TABLE, 4 * config.batch), config.seed, 2**40)
-        pair.table = CandidateTable(candidates, chunk=CHUNK)
-    evaluator = Evaluator(config, image, fields.values.cpu())
-    state = evaluator.resume(pair)
-    good, evaluated, mark = (replace(state), pair.state()), -1.0, time.monotonic()
-    while (done := state.progress(config)) < 1:
+class _Training:
+    """A training from its start or its checkpoint to its end."""
+
+    def __init__(
+        self, config: GanConfig, images: Sequence[Image], fields: TrainingFields | PictureFields
+    ) -> None:
+        self.config, self.images, self.fields = config, images, fields
+        views = fields.views if isinstance(fields, PictureFields) else ()
+        self.pair = AdversarialPair(config, fields.channels, fields.device, views)
+        if config.structural:
+            candidates = fields.crops(min(TABLE, 4 * config.batch), config.seed, 2**40)
+            self.pair.table = CandidateTable(candidates, chunk=CHUNK)
+        self.evaluator = Evaluator(config, images, fields)
+        self.state = self.evaluator.resume(self.pair)
+        self.good = replace(self.state), self.pair.state()
+        self.written = time.monotonic()
+
+    def run(self) -> dict[str, Any]:
+        """Train to the end; return the parts of a model."""
+        try:
+            self._iterate()
+            report("training", 1.0)
+            result = self.evaluator.result(self.pair, self.state)
+        except torch.OutOfMemoryError as error:
+            raise MemoryBudgetError(self._explain_memory()) from error
+        self._save(self.pair.state())
+        return result
+
+    def _iterate(self) -> None:
+        config, pair, evaluated, mark = self.config, self.pair, -1.0, time.monotonic()
+        while (done := self.state.progress(config)) < 1:
+            look = done - evaluated >= 1 / config.looks
+            step_losses = self._step(done, look)
+            state = self.state
+            state.seconds, mark = state.seconds + time.monotonic() - mark, time.monotonic()
+            if step_losses is None:
+                continue
+            report(_progress_line(state, step_losses), done)
+            if look:
+                evaluated = done
+                state.count_stale(self.evaluator.evaluate(pair, state, step_losses))
+                self.good = replace(state), pair.state()
+                self._save(self.good[1])
+            elif config.run and time.monotonic() - self.written >= 60 * config.checkpoint:
+                self._save(pair.state())
+
+    def _step(self, done: float, look: bool) -> dict[str, float] | None:
+        """Make one iteration; return its losses, None where it failed and the state went back."""
+        config, pair, state = self.config, self.pair, self.state
         random = torch.Generator(pair.device).manual_seed(
             int(key(config.seed, f"gan/{state.iteration}")) >> 1
         )
-        real = fields.crops(config.batch, config.seed, state.iteration)
+        real = self.fields.crops(config.batch, config.seed, state.iteration)
         pair.set_learning_rate(state.rate(done, config))
         if done < config.warmup:
-            step_losses = pair.warmup_step(real, random)
+            step_losses = pair.warmup_step(real, random, state.iteration)
         else:
             noise = config.noise[0] + (config.noise[1] - config.noise[0]) * done
-            step_losses = pair.train_step(real, random, state.iteration, noise)
+            step_losses = pair.train_step(real, random, state.iteration, noise, shares=look)
         state.iteration += 1
         pair.update_ema(state.iteration)
-        state.seconds, mark = state.seconds + time.monotonic() - mark, time.monotonic()
         if state.iteration % _CHECK == 0:
             grown = done > config.warmup + _YOUNG
             if found := failure(pair.sample(random), real, step_losses, grown=grown):
-                state = _restart(found, state, good[0])
-                pair.restore(good[1])
-                continue
-        report(_progress_line(state, step_losses), done)
-        if done - evaluated >= 1 / config.looks:
-            evaluated = done
-            state.count_stale(evaluator.evaluate(pair, state, step_losses))
-            good = (replace(state), pair.state())
-            plain = {"state": vars(state), "rows": evaluator.log.rows}
-            save_checkpoint(config, image, good[1], plain)
-    report("training", 1.0)
-    return evaluator.result(pair, state)
+                self.state = _restart(found, state, self.good[0])
+                pair.restore(self.good[1])
+                return None
+        return step_losses
+
+    def _save(self, tensors: Mapping[str, Any], **words: Any) -> None:
+        """Write a checkpoint of these tensors and the state."""
+        plain = {"state": vars(self.state), "rows": self.evaluator.log.rows, **words}
+        save_checkpoint(self.config, self.images, tensors, plain)
+        self.written = time.monotonic()
+
+    def _explain_memory(self) -> str:
+        """Write the last good state as a checkpoint that a smaller batch resumes; return what to
+        lower.
+        """
+        config = self.config
+        torch.cuda.empty_cache()
+        self.state = replace(self.good[0], seconds=self.state.seconds)
+        self._save(self.good[1], out_of_memory=True)
+        advice = (
+            f"set batch={config.batch // 2}, then a smaller width"
+            if config.batch > 1
+            else f"set width={max(2, config.width // 2)}"
+        )
+        more = (
+            f"; with a lower batch the same command resumes after {self.state.iteration} "
+            f"iterations from {config.run}"
+            if config.run and config.batch > 1
+            else "; with --run FOLDER a lower batch would resume from there"
+            if not config.run
+            else ""
+        )
+        return (
+            f"the GPU has too little memory for batch={config.batch} at width={config.width}: "
+            f"{advice}{more}"
+        )
 
 
 def _restart(found: str, state: TrainingState, last: TrainingState) -> TrainingState:
@@ -233,8 +200,9 @@ def check_size(image: Image, config: GanConfig) -> None:
     if min(image.shape) < config.crop:
         fits = min(image.shape) // config.cell * config.cell
         advice = f", or set crop={fits}" if fits >= config.least_crop else ""
+        points = "voxels" if image.ndim == 3 else "pixels"
         raise InputError(
-            f"the exemplar is {image.shape}, training takes crops of {config.crop} voxels along "
+            f"the exemplar is {image.shape}, training takes crops of {config.crop} {points} along "
             f"every axis: give a larger exemplar{advice}"
         )
 
@@ -259,69 +227,3 @@ def _package_threads() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-@contextmanager
-def _explain_memory(config: GanConfig) -> Iterator[None]:
-    try:
-        yield
-    except torch.OutOfMemoryError as error:
-        raise MemoryBudgetError(
-            f"the GPU has too little memory for batch={config.batch} at width={config.width}: "
-            "lower batch first, then width"
-        ) from error
-
-
-def training_bytes(config: GanConfig, image: Image) -> dict[str, int]:
-    """Forecast the bytes that training takes by purpose, the exemplar itself left out.
-
-    Parameters
-    ----------
-    config : GanConfig
-    image : Image
-        The exemplar.
-    """
-    count = (
-        len(set(image.values.ravel()[:: max(1, image.values.size >> 16)].tolist()))
-        if image.kind == "labels"
-        else 1
-    )
-    channels = count if count > 2 else 1
-    half = 2 if arithmetic(config) == "bf16" else 4
-    with torch.device("meta"):  # shapes without numbers
-        generator = new_generator(config, channels)
-        discriminator = new_discriminator(config, channels)
-        cells = config.crop // config.cell + (
-            2 * generator.halo if config.generator == "subpixel" else -3
-        )
-        z = torch.empty(config.batch, generator.latent, cells, cells, cells)
-        crop = torch.empty(config.batch, channels, config.crop, config.crop, config.crop)
-        held = sum(_layer_results(generator, lambda: generator(z)))
-        held += 2 * sum(_layer_results(discriminator, lambda: discriminator(crop)))
-        cells = max(SIDE // config.cell, CELLS) + 2 * generator.halo
-        tile = torch.empty(1, generator.latent, cells, cells, cells)
-        evaluation = max(_layer_results(generator, lambda: generator.cells(tile)))
-        networks = (generator, generator, discriminator)
-        weights = sum(p.numel() for network in networks for p in network.parameters())
-    fields = 4 * channels * image.values.size
-    return {
-        "weights": 4 * weights * (1 + _COPIES),
-        "fields": 3 * fields,
-        "crops": (32 + _SLICED) * crop.numel(),
-        "results of layers": round(_RESULTS * half * held * (_REARRANGED if half == 4 else 1)),
-        "looks": 4 * half * evaluation + 40 * channels * SIDE**3,
-    }
-
-
-def _layer_results(network: nn.Module, run: Callable[[], object]) -> list[int]:
-    """Count the numbers that each layer of a network returns."""
-    found = []
-
-    def see(module: nn.Module, given: object, result: Tensor) -> None:
-        found.append(result.numel())
-
-    hooks = [m.register_forward_hook(see) for m in network.modules() if not list(m.children())]
-    run()
-    for hook in hooks:
-        hook.remove()
-    return found

@@ -15,6 +15,18 @@ ROOM = 4
 """Positions that a neighbourhood needs along an axis of a picture, at least."""
 
 
+def check_pictures_agree(images: Sequence[Image]) -> None:
+    """Raise where pictures of one material differ in kind, phases or unit."""
+    first = images[0]
+    for image in images[1:]:
+        for name in ("kind", "phases", "unit"):
+            if getattr(image, name) != getattr(first, name):
+                raise InputError(
+                    f"pictures of one material agree in {name}: got {getattr(first, name)} "
+                    f"and {getattr(image, name)}; convert or rename them first"
+                )
+
+
 class PictureModel(Model):
     """A model of a material seen in some views."""
 
@@ -33,15 +45,7 @@ class PictureMethod(Method):
         for image in images:
             self._check_exemplar(image)
             self._check_picture(image)
-        first = images[0]
-        for image in images[1:]:
-            for name in ("kind", "phases", "unit"):
-                if getattr(image, name) != getattr(first, name):
-                    raise InputError(
-                        f"pictures of one material agree in {name}: got {getattr(first, name)} "
-                        f"and {getattr(image, name)}; "
-                        "convert or rename them first"
-                    )
+        check_pictures_agree(images)
 
     def _check_picture(self, image: Image) -> None:
         least = self._width() + ROOM

@@ -41,21 +41,22 @@ def double(
     wraps: Sequence[bool] = (False, False, False),
     *,
     shape: Sequence[int] | None = None,
-    factor: int = 1,
+    factors: Sequence[int] = (),
 ) -> np.ndarray:
     """Upsample int8 (C, Z, Y, X) by two, trilinearly and in integers: weights 3/4 and 1/4 along
     every axis.
 
     Beyond a face its last cell is repeated, or where the axis `wraps` the cell at the other end.
-    With a `shape` the result is cropped, or continued by its last cells, to that; with a `factor`
-    it is multiplied by it, and clipped to -127 .. 127.
+    With a `shape` the result is cropped, or continued by its last cells, to that; with `factors`,
+    one a channel, it is multiplied by them, and clipped to -127 .. 127.
     """
     sides = tuple(2 * side for side in field.shape[1:]) if shape is None else tuple(shape)
     fine = memmap.empty((len(field), *sides), np.int8)
+    scales = np.array(factors or [1] * len(field), np.int64)
     around = (bool(wraps[0]), bool(wraps[1]), bool(wraps[2]))
 
     def work(start: int, stop: int) -> None:
-        _double(field, around, factor, fine, start, stop)
+        _double(field, around, scales, fine, start, stop)
 
     for_slabs(work, sides[0])
     return fine
@@ -97,11 +98,12 @@ def _scale_back(sixty_fourths, factor):
 
 
 @kernel
-def _double(field, wraps, factor, fine, start, stop):
+def _double(field, wraps, factors, fine, start, stop):
     """Upsample fine planes start..stop. Weights along y and z are summed first, on coarse lines."""
     C, Z, Y, X = field.shape
     line = np.empty(X, np.int32)
     for c in range(C):
+        factor = factors[c]
         for z in range(start, stop):
             z0, z1 = _pair(z, Z, wraps[0])
             for y in range(fine.shape[2]):

@@ -52,6 +52,17 @@ class TextureConfig:
     rounds: tuple[int, ...] = (4, 6, 8, 12)
     """Rounds on the other levels, finest first, each 1 .. 100; the last counts for the rest."""
 
+    grading: str = "feedback"
+    """How a target that holds around every place is met (`graded`). "feedback": the search is led
+    towards denser or sparser places of the exemplar by what is missing, and interfaces of the last
+    result are moved by two voxels at most. "shift": by shifts of the field alone, as in recipes and
+    models that do not name it."""
+
+    connected: str = "auto"
+    """Whether the solid becomes one component where a target holds around every place: "solid", or
+    "none". "auto": where nine tenths of the exemplar's solid are one. Recipes and models that do
+    not name it: "none"."""
+
     clip: float = 4.2
     """Signed distance at which the field saturates, voxels, 2 .. 20. Longer reach feels wider
     pores, shorter resolves struts.
@@ -182,7 +193,8 @@ class TextureConfig:
     @classmethod
     def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Complete the settings of a recipe or a model that is older than some of them."""
-        return {"layout": "coarse", "iso_value": "middle", "step_share": 0.5, **settings}
+        before = {"layout": "coarse", "iso_value": "middle", "step_share": 0.5}
+        return {**before, "grading": "shift", "connected": "none", **settings}
 
     @classmethod
     def alternatives(cls, effort: int) -> tuple[dict[str, Any], ...]:
@@ -212,6 +224,8 @@ _CHOICES: dict[str, tuple[Any, ...]] = {
     "iso_value": ("middle", "fraction"),
     "search": ("coherent", "exact"),
     "layout": ("structure", "coarse"),
+    "grading": ("feedback", "shift"),
+    "connected": ("auto", "solid", "none"),
     "orientations": ("none", "mirrors", "upright", "all"),
 }
 

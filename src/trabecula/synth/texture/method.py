@@ -54,6 +54,7 @@ from trabecula.synth.texture.exemplar_rounds import (
     make_from_patches,
     target_of,
 )
+from trabecula.synth.texture.final_shape import settle_shape, shape_stages
 from trabecula.synth.texture.graded import (
     BEYOND,
     average_target,
@@ -68,6 +69,7 @@ from trabecula.synth.texture.grey_levels import (
     structure_of,
     trial_bytes,
 )
+from trabecula.synth.texture.joined import Struts, struts_of
 from trabecula.synth.texture.small_bodies import (
     body_stages,
     learn_small_bodies,
@@ -282,11 +284,15 @@ class TextureModel(Model):
                     distances=self.content.distances,
                     targets=self.targets,
                     fractions=self._fractions(request, used),
+                    struts=self._struts if request.target else (),
                 )
             )
             if energies:
                 report["levels"] = energies
         votes = fit_to(votes, request.shape)
+        if not new and request.target and self.config.grading == "feedback":
+            values, report["graded"] = self._settle_shape(votes, request)
+            return values, report
         if new and self.small:
             report["small_bodies"] = self._settle_small_bodies(votes, request)
         if request.target and isinstance(self.content, Labels):
@@ -377,6 +383,34 @@ class TextureModel(Model):
             return []
         return regions_of(replace(request, mask=None), self.top + 1, bounds, self._quantise)
 
+    @cached_property
+    def _struts(self) -> list[Struts | None]:
+        """Measure the solid that is to be one component, on every level; empty where none is."""
+        if self.config.connected == "none" or not isinstance(self.content, Labels):
+            return []
+        upper, clip = self.content.present[0] == self.content.empty, self.config.clip
+        found = [struts_of(stack, upper=upper, clip=clip) for stack in self.stacks]
+        if found[0] is None and self.config.connected == "solid":
+            found[0] = struts_of(self.stacks[0], upper=upper, clip=clip, whole=0.0)
+        return found if found[0] is not None else []
+
+    def _settle_shape(
+        self, votes: np.ndarray, request: Request
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Return the result's values where a target holds around every place, and a report."""
+        assert isinstance(self.content, Labels)
+        bounds = self.content.bounds(request)
+        region = regions_of(request, 1, bounds, self._quantise)[0]
+        fractions = target_fractions(request, self.content.present, self.content.empty)
+        upper, report = settle_shape(
+            votes,
+            region,
+            fractions,
+            self._struts[0] if self._struts else None,
+            unit=FULL / self.config.clip,
+        )
+        return self.content.from_upper(upper, request), report
+
     def _fractions(self, request: Request, count: int) -> list[np.ndarray]:
         """Return the target's volume fractions on each level; empty where there is none."""
         if not request.target or not isinstance(self.content, Labels):
@@ -462,6 +496,9 @@ class TextureModel(Model):
                     for number, candidates in enumerate(finest)
                 )
             )
+        if not new and request.target and self.config.grading == "feedback":
+            known = request.fixed is not None
+            stages += shape_stages(request.shape, known=known, masked=request.mask is not None)
         last = finest[-1]
         covered = region.cover(box=last.basis.box, steps=last.steps)
         channels = len(last.stack.field)

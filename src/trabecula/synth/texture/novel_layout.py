@@ -351,6 +351,15 @@ class NovelRounds(CoarseToFine[Any]):
         """List the names of the layout and of the passes."""
         return ["novel layout", *(f"novel pass {number}" for number in range(len(self.schedule)))]
 
+    @property
+    def costs(self) -> list[float]:
+        """List rounds times voxels of the layout and of the passes."""
+        layout = _SLICED_ROUNDS * math.prod(self.shapes[self.top])
+        return [
+            layout,
+            *(part.rounds * math.prod(self.shapes[part.level]) for part in self.schedule),
+        ]
+
     def open_stage(self, place: int) -> NovelLayoutStage | PassStage:
         """Prepare the layout, or the grid of a pass."""
         name, number = self.names[place], place - 1

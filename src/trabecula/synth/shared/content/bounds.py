@@ -70,15 +70,23 @@ def sign_bounds(values: np.ndarray, known: np.ndarray, labels: Sequence[int]) ->
 
 
 def value_bounds(
-    fields: Callable[[np.ndarray], np.ndarray], values: np.ndarray, known: np.ndarray
+    fields: Callable[[np.ndarray], np.ndarray],
+    values: np.ndarray,
+    known: np.ndarray,
+    *,
+    features: int = 0,
 ) -> Bounds:
-    """Bound fields that are the values themselves, stretched by `fields`."""
-    low, high = _empty_bounds(len(fields(values[:1])), known)
+    """Bound fields that are the values themselves, stretched by `fields`; the `features` after them
+    have no bounds: they follow the values.
+    """
+    plain = len(fields(values[:1]))
+    low, high = _empty_bounds(plain + features, known)
 
     def work(start: int, stop: int) -> None:
         there, held = known[start:stop], fields(values[start:stop])
-        low[:, start:stop] = np.where(there, held, -_ANY)
-        high[:, start:stop] = np.where(there, held, _ANY)
+        low[:plain, start:stop] = np.where(there, held, -_ANY)
+        high[:plain, start:stop] = np.where(there, held, _ANY)
+        low[plain:, start:stop], high[plain:, start:stop] = -_ANY, _ANY
 
     for_plane_groups(work, known.shape)
     return low, high

@@ -13,6 +13,7 @@ from trabecula.core.request import Request
 from trabecula.core.target import porosity_of
 from trabecula.measure.smooth import gaussian
 from trabecula.synth.shared.content.bounds import Bounds, distance_bounds, sign_bounds, value_bounds
+from trabecula.synth.shared.content.feature import Feature
 from trabecula.synth.shared.content.fields import (
     FULL,
     mean_edge,
@@ -24,7 +25,7 @@ from trabecula.synth.shared.content.fields import (
 )
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.content.joints import pool_fractions, surroundings
-from trabecula.synth.shared.content.phase_fractions import labels_of
+from trabecula.synth.shared.content.phase_fractions import labels_of, labels_of_upper
 from trabecula.synth.shared.slabs import (
     complement,
     count_true,
@@ -43,6 +44,7 @@ def content_of(
     field: str = "distance",
     histogram: bool = True,
     unit: float | None = None,
+    rim: float | None = None,
 ) -> Content:
     """Choose the reader and writer of the exemplars' kind.
 
@@ -57,9 +59,15 @@ def content_of(
     unit : float, optional
         Length that counts as one voxel in distances: of pictures the mean edge of the volume's
         voxels. Default: the mean edge of each image's own.
+    rim : float, optional
+        Distance from the rim of a feature, voxels, at which its channel beside grey values or
+        colours saturates. Default: no such channel.
     """
     if exemplars[0].kind != "labels":
-        return Values(exemplars, histogram=histogram)
+        found = None if rim is None else Feature.of(exemplars)
+        if found is None or rim is None:
+            return Values(exemplars, histogram=histogram)
+        return FeaturedValues(exemplars, found, histogram=histogram, rim=rim)
     return (Labels if field == "distance" else Indicators)(
         exemplars, histogram=histogram, unit=unit
     )
@@ -70,6 +78,9 @@ class Content(ABC):
 
     distances: bool
     """Whether a field is a distance in voxels, which halves with the resolution."""
+
+    features = 0
+    """Channels at the end of the fields that are distances beside others that are none."""
 
     @abstractmethod
     def fields(self, image: Image) -> np.ndarray:
@@ -164,6 +175,11 @@ class Labels(Content):
         free = free_voxels(request)
         wanted = self._target_fractions(request, free) if self.histogram or request.target else None
         values = labels_of(votes, self.present, wanted, free)
+        return complete(values, request, empty=self.empty)
+
+    def from_upper(self, upper: np.ndarray, request: Request) -> np.ndarray:
+        """Return the result's values where the second of two phases is marked, (Z, Y, X) bool."""
+        values = labels_of_upper(upper, self.present)
         return complete(values, request, empty=self.empty)
 
     def _target_fractions(self, request: Request, free: np.ndarray | None) -> np.ndarray:
@@ -267,6 +283,30 @@ class Values(Content):
             )
         values = plain_values(votes, low=self.low, high=self.high, dtype=self.dtype)
         return complete(values, request, empty=0)
+
+
+class FeaturedValues(Values):
+    """Grey values or colours, and the signed distance to the rim of what stands out in them."""
+
+    features = 1
+
+    def __init__(
+        self, exemplars: Sequence[Image], feature: Feature, *, histogram: bool, rim: float
+    ) -> None:
+        super().__init__(exemplars, histogram=histogram)
+        self.feature, self.rim = feature, rim
+
+    def fields(self, image: Image) -> np.ndarray:
+        far = self.feature.distance(image.values, self.kind) * np.float32(FULL / self.rim)
+        return np.concatenate([super().fields(image), _deep(far[None])])
+
+    def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
+        if request.fixed is None or request.known is None:
+            return None
+        return value_bounds(self._fields, request.fixed.values, request.known, features=1)
+
+    def to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
+        return super().to_values(votes[:-1], request)
 
 
 def _deep(fields: np.ndarray) -> np.ndarray:

@@ -224,10 +224,14 @@ def vote(field, match, weight, layout, plane, result, start, stop):
 @inline
 def _fold(plane, Y, X, wraps):
     """Add the part beyond an axis that wraps to its beginning."""
-    for y in range(Y, plane.shape[1] if wraps[1] else 0):
-        plane[:, y - Y] += plane[:, y]
-    for x in range(X, plane.shape[2] if wraps[2] else 0):
-        plane[:, :, x - X] += plane[:, :, x]
+    # Loops and no sums of arrays, here and below: those take Numba seconds to compile.
+    for c in range(plane.shape[0]):
+        for y in range(Y, plane.shape[1] if wraps[1] else 0):
+            for x in range(plane.shape[2]):
+                plane[c, y - Y, x] += plane[c, y, x]
+        for y in range(plane.shape[1]):
+            for x in range(X, plane.shape[2] if wraps[2] else 0):
+                plane[c, y, x - X] += plane[c, y, x]
 
 
 @inline
@@ -286,7 +290,8 @@ def _spread(summed, weights, layout):
         for sy in range(max(0, (y - box[1] + steps[1]) // steps[1]), min(SY, y // steps[1] + 1)):
             y0, y1 = reach(sy, SY, box[1], trims[1], wraps[1])
             if y0 <= y - sy * steps[1] < y1:
-                row += summed[sy]
+                for sx in range(SX):
+                    row[sx] += summed[sy, sx]
         for sx in range(SX):
             x0, x1 = reach(sx, SX, box[2], trims[2], wraps[2])
             for x in range(sx * steps[2] + x0, sx * steps[2] + x1):

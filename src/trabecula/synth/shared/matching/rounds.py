@@ -24,14 +24,16 @@ def refine_field(
     wraps: tuple[bool, ...],
     *,
     distances: bool,
+    features: int = 0,
     shape: Sequence[int] | None = None,
 ) -> np.ndarray:
     """Double the resolution of a field (C, Z, Y, X) int8; a distance, which counts in voxels,
-    doubles too.
+    doubles too, and so do the last channels that are `features`.
 
     With a `shape` cropped, or continued by its last cells, to that.
     """
-    return double(field, wraps, shape=shape, factor=2 if distances else 1)
+    factors = [2 if distances else 1] * (len(field) - features) + [2] * features
+    return double(field, wraps, shape=shape, factors=factors)
 
 
 def robust_weights(grid: Grid, distance: np.ndarray, robustness: float) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,6 +38,7 @@ _RANGES = {
 
 _CHOICES = {
     "histogram": (True, False),
+    "feature": (True, False),
     "search": ("coherent", "exact"),
     "orientations": ("none", "mirrors", "all"),
 }
@@ -87,7 +89,13 @@ class SolidConfig:
     first, each 0 .. 10; the last counts for the rest. Beside fixed voxels there are none."""
 
     clip: float = 4.2
-    """Signed distance of labels at which the field saturates, voxels, 2 .. 20."""
+    """Signed distance of labels, or from a feature's rim, at which the field saturates, voxels,
+    2 .. 20.
+    """
+
+    feature: bool = True
+    """Whether grey values and colours have a feature channel beside them: the signed distance to
+    the rim of what stands out from the most frequent colour, or of the bright class of greys."""
 
     search: str = "coherent"
     """"coherent": each site tries its own match, its neighbours' moved along, and random ones.
@@ -137,6 +145,11 @@ class SolidConfig:
         keep_numbers(self, {"step": (1, self.neighbourhood // 2)})
         keep_numbers(self, {"trim": (0, (self.neighbourhood - self.step) // 2)})
         keep_choices(self, _CHOICES)
+
+    @classmethod
+    def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Complete the settings of a recipe or a model that is older than some of them."""
+        return {"feature": False, **settings}
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:

@@ -30,7 +30,8 @@ class Solid(PictureMethod):
         """Forecast the fields and neighbourhoods of the levels learnt so far, and the memory for
         learning the next one beside them.
         """
-        channels, width = channels_of(exemplars), self._width()
+        featured = bool(self.config.feature) and exemplars[0].kind != "labels"
+        channels, width = channels_of(exemplars) + featured, self._width()
         turns = len(symmetries(self.config.orientations, ndim=2))
         size = channels * sum(int(np.prod(image.shape)) for image in exemplars)
         kept, peak = 0, 16 * size

@@ -59,7 +59,12 @@ class SolidModel(PictureModel):
         super().__init__(config, exemplars, views)
         unit = mean_edge(spacing_of(views))
         pictures = [view.image for view in views]
-        self.content: Content = content_of(pictures, histogram=config.histogram, unit=unit)
+        self.content: Content = content_of(
+            pictures,
+            histogram=config.histogram,
+            unit=unit,
+            rim=config.clip if config.feature else None,
+        )
         # Views of the same picture share all that is learnt from it.
         self.numbers = [
             next(n for n, other in enumerate(pictures) if other is picture) for picture in pictures
@@ -106,12 +111,16 @@ class SolidModel(PictureModel):
         )
 
     def quantise_level(self, field: np.ndarray, index: int) -> np.ndarray:
-        """Round a field of level `index` to int8: a distance counts in the voxels of its level, a
-        grey value is unchanged.
+        """Round a field of level `index` to int8: a distance, also that of a feature, counts in the
+        voxels of its level, a grey value is unchanged.
         """
         if self.content.distances:
             return quantise(field / np.float32(2**index), clip=self.config.clip)
-        return quantise(field, clip=FULL)
+        if not self.content.features:
+            return quantise(field, clip=FULL)
+        units = np.ones((len(field), 1, 1, 1), np.float32)
+        units[-self.content.features :] = 2**index
+        return quantise(field / units, clip=FULL)
 
     def make(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
         rounds = self.rounds_type(self, request)

@@ -191,6 +191,16 @@ class SolidRounds(ViewRounds[SolidStage]):
         return [f"level {index}" for index in reversed(range(self.used))]
 
     @property
+    def costs(self) -> list[float]:
+        """List rounds times voxels of the levels."""
+        return [self._rounds(index) / 8**index for index in reversed(range(self.used))]
+
+    def _rounds(self, index: int) -> int:
+        """Return the rounds on a level."""
+        coarsest = index == self.used - 1
+        return self.config.first_rounds if coarsest else at_level(self.config.rounds, index)
+
+    @property
     def robustness(self) -> float:
         """Return the exponent of the distances that are minimised."""
         return float(self.config.robustness)
@@ -199,9 +209,7 @@ class SolidRounds(ViewRounds[SolidStage]):
         """Prepare the views of a level; the region itself is not needed after that."""
         config, model = self.config, self.model
         index = self.used - 1 - place
-        level, rounds = model.levels[index], at_level(config.rounds, index)
-        if place == 0:
-            rounds = config.first_rounds
+        level, rounds = model.levels[index], self._rounds(index)
         del self.regions[index + 1 :]
         self.debt = None
         views = RegionViews.over(self.regions.pop(), level.views, self.targets(level))
@@ -244,8 +252,14 @@ class SolidRounds(ViewRounds[SolidStage]):
                 work.adopt(f"weight{number}", equal_weights(view.grid.active))
             self.vote(stage, None)
             return
-        distances = self.model.content.distances
-        field = refine_field(before["field"], region.wraps, distances=distances, shape=region.shape)
+        content = self.model.content
+        field = refine_field(
+            before["field"],
+            region.wraps,
+            distances=content.distances,
+            features=content.features,
+            shape=region.shape,
+        )
         work.adopt("field", region.clip_to_bounds(field))
         work.adopt("votes", votes_of(field))
         coarser = self.model.levels[stage.index + 1].views

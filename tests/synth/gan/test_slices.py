@@ -1,0 +1,119 @@
+"""Learning from pictures: what is judged of a volume, which picture judges it, what is refused."""
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="method gan needs the extra 'learn'")
+
+import trabecula as tb  # noqa: E402
+from trabecula.errors import InputError  # noqa: E402
+from trabecula.exemplar.views import views_of  # noqa: E402
+from trabecula.synth.gan.adversarial import AdversarialPair  # noqa: E402
+from trabecula.synth.gan.config import GanConfig  # noqa: E402
+from trabecula.synth.gan.crops import picture_fields  # noqa: E402
+from trabecula.synth.gan.networks import (  # noqa: E402
+    Subpixel,
+    depth_to_space,
+    space_to_depth,
+)
+from trabecula.synth.gan.orientations import oriented, turns_of  # noqa: E402
+from trabecula.synth.gan.slices import (  # noqa: E402
+    STEP,
+    PictureFields,
+    numbered_views,
+    take_slices,
+)
+
+TINY = {"crop": 40, "batch": 1, "width": 2, "latent": 2, "minutes": 0.0, "looks": 1}
+
+
+@pytest.fixture(autouse=True)
+def few_tiles(monkeypatch):
+    monkeypatch.setattr(Subpixel, "tiles", 2)
+
+
+def picture(seed, spacing=(1.0, 1.0)):
+    values = np.random.default_rng(seed).integers(0, 2, (8, 9)).repeat(6, 0).repeat(6, 1)
+    return tb.Image(values.astype(np.uint8), "labels", spacing=spacing, unit="um")
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_slices_lie_across_their_axis_and_move_on(axis):
+    c, others = 8, [a for a in range(3) if a != axis]
+    place = torch.stack(torch.meshgrid(*(torch.arange(c),) * 3, indexing="ij"))[None]  # K = 3
+    for iteration in (0, 1, STEP + 1):
+        slices = take_slices(place, [axis], iteration)
+        assert slices.shape == (c // STEP, 1, 3, c, c)
+        assert slices[:, 0, axis, 0, 0].tolist() == [iteration % STEP, iteration % STEP + STEP]
+        rows, columns = (slices[0, 0, other] for other in others)
+        assert rows[:, 0].tolist() == columns[0].tolist() == list(range(c))
+
+
+def test_four_pixels_become_channels():
+    x = torch.arange(16.0).reshape(1, 1, 4, 4)
+    assert space_to_depth(x)[0, :, 0, 0].tolist() == [0.0, 1.0, 4.0, 5.0]
+    volume = torch.randn(2, 8, 3, 3, 3)
+    assert torch.equal(space_to_depth(depth_to_space(volume)), volume)
+
+
+def test_one_picture_judges_all_planes_and_a_turned_one_is_another():
+    one, two = picture(0), picture(1)
+    assert numbered_views(views_of([one]))[1] == ((0, 0), (1, 0), (2, 0))
+    assert numbered_views(views_of([one, two]))[1] == ((0, 0), (1, 0), (2, 1))
+    different, views = numbered_views(views_of([one], ["yx", "xz"]))
+    assert views == ((0, 0), (1, 1))
+    assert np.array_equal(different[1].image.values, one.values.T)
+
+
+def test_crops_of_a_view_come_from_its_picture():
+    pictures = tuple(torch.full((1, 44, 48), value) for value in (2.0, 3.0))
+    fields = PictureFields(pictures, ((0, 0), (1, 0), (2, 1)), turns_of("all", axes=2), 40)
+    crops = fields.crops(2, 0, 0)
+    assert crops.shape == (2 * 40 // STEP, 3, 1, 40, 40)
+    assert [crops[:, view].unique().tolist() for view in range(3)] == [[2.0], [2.0], [3.0]]
+
+
+def test_the_turns_of_a_picture_are_the_symmetries_of_the_square():
+    corner = torch.arange(4.0).reshape(1, 2, 2)
+    for name, count in (("none", 1), ("inverted", 2), ("mirrors", 4), ("all", 8)):
+        turned = {tuple(oriented(corner, t).flatten().tolist()) for t in turns_of(name, axes=2)}
+        assert len(turned) == count
+
+
+def test_each_picture_has_a_discriminator_and_both_networks_learn():
+    config = GanConfig(**TINY, iterations=1, precision="float32")
+    fields = picture_fields([picture(0), picture(1)], config)
+    pair = AdversarialPair(config, 1, torch.device("cpu"), fields.views)
+    assert len(pair.discriminator.judges) == 2
+    before = pair.state()
+    pair.train_step(fields.crops(1, 0, 0), torch.Generator().manual_seed(0), 0, 0.1)
+    after = pair.state()
+    for part in ("generator.", "discriminator.judges.0", "discriminator.judges.1"):
+        names = [name for name in before if name.startswith(part) and name.endswith("weight")]
+        assert names and all(not torch.equal(before[name], after[name]) for name in names)
+
+
+@pytest.mark.whole
+def test_a_volume_is_made_from_pictures_with_their_voxels(tmp_path):
+    pictures = [picture(0, (2.0, 3.0)), picture(1, (2.0, 3.0)), picture(2, (2.0, 2.0))]
+    method = tb.method("gan", **TINY, iterations=2, warmup=0.5, views=("yx", "zx", "zy"))
+    model = method.fit(pictures)
+    made = model.generate((40, 24, 33), seed=1)
+    assert (made.shape, made.spacing, made.unit) == ((40, 24, 33), (2.0, 2.0, 3.0), "um")
+    again = tb.load_model(model.save(tmp_path / "pictures.model"))
+    assert again.generate((40, 24, 33), seed=1).spacing == made.spacing
+    assert np.array_equal(again.generate((40, 24, 33), seed=1).values, made.values)
+
+
+def test_exemplars_that_do_not_go_together_are_refused():
+    volume = tb.crop(tb.sample("bone"), 48)
+    flat = tb.Image(volume.values[0], "labels", phases=volume.phases)
+    method = tb.method("gan", **TINY, iterations=1)
+    with pytest.raises(InputError, match="one volume, got 2"):
+        method.fit([volume, volume])
+    with pytest.raises(InputError, match="not from both"):
+        method.fit([volume, flat])
+    with pytest.raises(InputError, match="judges volumes"):
+        tb.method("gan", preset="3dgan").fit(flat)
+    with pytest.raises(InputError, match="crops of 64 pixels"):
+        tb.method("gan", minutes=0, iterations=1).fit(flat)
