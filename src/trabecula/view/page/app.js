@@ -42,10 +42,10 @@ class App {
   overlay(volume) {
     const bar = make("div", { class: "bar" }), label = make("div", { class: "length" }), handles = make("div");
     const tape = vector("svg", { class: "tape", "aria-hidden": "true" }), legend = make("div", { class: "legend" });
-    const spot = make("div", { class: "spot", "aria-hidden": "true" });
-    const host = make("div", { class: "view" }, make("div", { class: "name" }, volume.name), tape, spot, handles, legend, label, bar);
+    const spot = make("div", { class: "spot", "aria-hidden": "true" }), level = make("div", { class: "level" });
+    const host = make("div", { class: "view" }, make("div", { class: "name" }, volume.name), level, tape, spot, handles, legend, label, bar);
     $("views").append(host);
-    return { host, bar, label, handles, tape, legend, spot };
+    return { host, bar, label, handles, tape, legend, spot, level };
   }
 
   // Cameras: one for all while linked, else one each.
@@ -292,13 +292,14 @@ class App {
   overlays() {
     $("panel").querySelectorAll(".row, .tick").forEach((row) => row.show && row.show());
     this.volumes.forEach((volume, i) => {
-      const cell = this.cells[i], { host, bar, label, handles, legend, spot } = this.views[i];
+      const cell = this.cells[i], { host, bar, label, handles, legend, spot, level } = this.views[i];
       Object.assign(host.style, { left: `${cell.left}px`, top: `${cell.top}px`, width: `${cell.width}px`, height: `${cell.height}px` });
       const length = roundLength(cell.width / 4 * cell.pixel);
       bar.style.width = `${Math.round(length / cell.pixel)}px`;
       label.textContent = words(length, volume.unit);
       placeHandles(this, handles, volume, cell, this.cameras[i]);
       placeLegend(legend, volume);
+      level.textContent = levelText(volume);
       const middle = this.focus.map((part, k) => part * volume.extent[k]);
       const [x, y] = project(middle, volume, basis(this.cameras[i]), this.cameras[i].pan, cell, cell.width, cell.height);
       spot.style.transform = `translate(${x}px, ${y}px)`;

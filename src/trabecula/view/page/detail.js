@@ -23,6 +23,14 @@ function wantedBox(volume, camera, cell, cut) {
   return { fine, low, size };
 }
 
+// Which level is shown, where it is not the image's own voxels.
+function levelText({ block, fine }) {
+  const edge = Math.max(...block);
+  if (edge === 1) return "";
+  const near = fine ? edge / fine.fine : edge;
+  return fine ? `${near === 1 ? "single voxels" : `blocks of ${near} voxels`} in the middle, blocks of ${edge} around it` : `blocks of ${edge} voxels`;
+}
+
 const sameBox = (a, b) => a && b && a.fine === b.fine && a.low.every((value, i) => Math.abs(value - b.low[i]) < b.size[i] / 8);
 
 // Ask for the box; it is drawn when it is there, unless another is wanted by then.
