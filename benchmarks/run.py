@@ -41,6 +41,7 @@ import intervals
 import networks
 import noise
 import novelty_blind
+import oriented
 import papers
 import photographs
 import printing
@@ -49,6 +50,7 @@ import scan
 import stills
 import texture
 import texture_figures
+import texture_grey
 import texture_speed
 import trabecula as tb
 import trends
@@ -98,6 +100,7 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_weights": texture_figures.texture_weights,
     "texture_iso_value": texture_figures.texture_iso_value,
     "texture_histogram": texture_figures.texture_histogram,
+    "texture_grey": texture_grey.texture_grey,
     "by_example_2017": by_example.by_example_2017,
     "by_example_2021": by_example.by_example_2021,
     "evenness": evenness.evenness_table,
@@ -127,6 +130,8 @@ CASES: dict[str, Callable[[], None]] = {
     "graded_bone": graded.graded_bone,
     "graded_seams": graded.graded_seams,
     "graded_speed": graded.graded_speed,
+    "oriented": oriented.oriented,
+    "design": oriented.design,
     "bubbles_fit": bubbles_fit.bubbles_fit,
     "noise": noise.noise,
     "bubbles_table": bubbles.bubbles_table,

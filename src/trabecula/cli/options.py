@@ -166,7 +166,8 @@ def add_parts(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=VALUE",
         help="descriptor that the result is to have: porosity=0.25, volume_fraction=FILE (a field "
-        "of the result's shape), or one property that is met by changing porosity: "
+        "of the result's shape), orientation=Z,Y,X (or a .npy file of vectors, or a structure), "
+        "size=1.5 (or a field), or one property that is met by changing porosity: "
         "permeability=2e-6, stiffness:z=0.05, ... (the image's unit)",
     )
 
@@ -254,11 +255,50 @@ def load_targets(pairs: list[str]) -> dict[str, Any]:
             )
         if name in found:
             raise InputError(f"--target {name} is given twice: give one")
+        if name == "orientation":
+            found[name] = _load_orientation(value)
+            continue
         try:
             found[name] = float(value)
         except ValueError:
             found[name] = load(value, threshold="none")
     return found
+
+
+def _load_orientation(value: str) -> Any:
+    """Load a direction: three numbers z,y,x, a .npy file of vectors, or a structure whose principal
+    fabric direction is meant.
+    """
+    from pathlib import Path
+
+    from trabecula.fields import read_directions
+    from trabecula.measure import fabric
+    from trabecula.pipeline.inputs import load
+
+    try:
+        return [float(word) for word in value.split(",")]
+    except ValueError:
+        if Path(value).suffix == ".npy":
+            return read_directions(value)
+        return fabric(load(value, threshold="auto")).directions[0].tolist()
+
+
+def note_directions(values: Any, mask: Any, *, degrees: float = 45.0) -> dict[str, int]:
+    """Say where a field of directions has poles and jumps, and return their numbers."""
+    from trabecula.cli import terminal
+    from trabecula.core.directions import find_jumps, list_places
+
+    poles, jumps = ~values.any(axis=-1), find_jumps(values, mask, degrees=degrees)
+    if mask is not None:
+        poles &= mask
+    if poles.any():
+        terminal.note(f"no direction at {poles.sum()} voxels{list_places(poles)}")
+    if jumps.any():
+        terminal.note(
+            f"the direction turns by more than {degrees:g} degrees from voxel to voxel at "
+            f"{jumps.sum()} of {jumps.size}{list_places(jumps)}: material there follows neither"
+        )
+    return {"poles": int(poles.sum()), "jumps": int(jumps.sum())}
 
 
 def add_level(parser: argparse.ArgumentParser) -> None:

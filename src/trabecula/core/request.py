@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.brief import brief
 from trabecula.core.checks import as_seed, as_shape, quote
+from trabecula.core.directions import check_poles
 from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
-from trabecula.core.target import Target, as_target, origins_of
+from trabecula.core.target import Target, as_target, is_field, origins_of
 
 _AXES = "zyx"
 _IMAGES = ("mask", "fixed", "known", "coarse")
@@ -45,7 +46,10 @@ class Request:
         phase "void" (label 0 where none has that name), "volume_fraction" what remains to 1,
         "volume_fraction:PHASE" the share of a phase, all 0 .. 1; "surface", "mean_curvature" and
         "euler" are densities of the Minkowski functionals of the solid, per voxel; of pictures
-        "perimeter" and "euler". Methods say which they honour. Fields are kept as float32 arrays.
+        "perimeter" and "euler". "orientation" is the direction that the exemplar's principal
+        fabric direction (the longest mean intercept) is turned to: a vector (z, y, x), or a field
+        (Z, Y, X, 3) of them, sign and length free; "size" the factor on its lengths, 0.25 .. 4.
+        Methods say which they honour. Fields are kept as float32 arrays.
     fixed : Image, (Z, Y, X), optional
         Measured voxels that must come out unchanged, where `known` says so; what it holds elsewhere
         does not matter.
@@ -123,6 +127,9 @@ class Request:
         object.__setattr__(self, "periodic", _as_periodic(self.periodic, len(self.shape)))
         object.__setattr__(self, "target", as_target(self.target, self.shape))
         _check_mask(self.mask, self.shape)
+        if "orientation" in self.target:
+            poles = np.asarray(self.target["orientation"])
+            check_poles(poles, self.mask, name="the target orientation")
         _check_fixed(self)
         _check_coarse(self)
 
@@ -136,7 +143,7 @@ class Request:
     @property
     def is_tied(self) -> bool:
         """Return whether a part of the request is tied to its shape: voxels or a field."""
-        fields = any(isinstance(value, np.ndarray) for value in self.target.values())
+        fields = any(is_field(name, value) for name, value in self.target.items())
         held = (self.mask, self.fixed, self.coarse)
         return fields or any(part is not None for part in held)
 
@@ -161,7 +168,8 @@ class Request:
         made = {name: recipe.to_json() for name, recipe in self.origins.items()}
         if self.target:
             plain["target"] = {
-                name: made.pop(f"target.{name}", value) for name, value in self.target.items()
+                name: made.pop(f"target.{name}", _plain(value))
+                for name, value in self.target.items()
             }
         return {**plain, **made}
 
@@ -245,6 +253,11 @@ def _check_coarse_scan(request: Request, exemplar: Image, spacing: Sequence[floa
             f"of {tuple(spacing)} {exemplar.unit} make it {wanted}: ask for the shape that agrees, "
             "or give the spacing of both"
         )
+
+
+def _plain(value: Target) -> Any:
+    """Return a number as it is, and one direction as a list."""
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def _origin(part: Image | ArrayLike | None) -> Recipe | None:

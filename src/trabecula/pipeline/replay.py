@@ -344,12 +344,25 @@ def _make_request(step: Mapping[str, Any], sources: RecipeFiles) -> Request:
         if name in request:
             request[name] = _replay_steps(Recipe.from_json(request[name]), sources.inside(name))
     request["target"] = {
-        name: _replay_steps(Recipe.from_json(value), sources.inside("target"))
-        if isinstance(value, list)
-        else value
+        name: _make_target(name, value, sources.inside("target"))
         for name, value in dict(request.get("target", {})).items()
     }
     return Request(**request)
+
+
+def _make_target(name: str, value: Any, sources: RecipeFiles) -> Any:
+    """Return a target: a number, one direction, or a field that is made again."""
+    if not isinstance(value, list) or (value and not isinstance(value[0], dict)):
+        return value
+    if name != "orientation":
+        return _replay_steps(Recipe.from_json(value), sources)
+    step = value[-1]
+    if step["verb"] == "array" and sources.replacement is None:
+        _repeat_array(None, step, sources)
+    found = fields.read_directions(sources.find(step.get("source", "")))
+    if digest(found.values) != step["sha256"]:
+        raise NotReproducedError(_explain_difference(step))
+    return found
 
 
 def _repeat_finish(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:
