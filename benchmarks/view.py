@@ -115,6 +115,7 @@ def view_large(side: int = 1024) -> None:
     page over that of an empty browser.
     """
     import chromium
+
     from trabecula.io.lazy import open_slabs
     from trabecula.view.page.server import PageServer
 
