@@ -508,7 +508,7 @@ def test_finer_voxels_come_from_the_server_where_one_zooms_in(browser, monkeypat
 
 @pytest.mark.whole
 def test_the_refined_light_is_like_the_quick_one_but_softer(show):
-    tab = show(foam(16), size=(240, 260))
+    tab = show(foam(16), size=(180, 220))
     quick = canvas(tab)
     tab.run("app.rest = 'refined'; app.redraw()")
     tab.run(
