@@ -50,6 +50,7 @@ import scan
 import stills
 import texture
 import texture_figures
+import texture_grey
 import texture_speed
 import trabecula as tb
 import trends
@@ -99,6 +100,7 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_weights": texture_figures.texture_weights,
     "texture_iso_value": texture_figures.texture_iso_value,
     "texture_histogram": texture_figures.texture_histogram,
+    "texture_grey": texture_grey.texture_grey,
     "by_example_2017": by_example.by_example_2017,
     "by_example_2021": by_example.by_example_2021,
     "evenness": evenness.evenness_table,

@@ -21,6 +21,7 @@ from trabecula.synth.shared.statistics.sliced import (
     transport_stages,
 )
 from trabecula.synth.shared.statistics.slices import Transport, slice_target
+from trabecula.synth.shared.statistics.torus_steps import torus_step
 from trabecula.synth.shared.statistics.two_point import correlations_of
 from trabecula.synth.shared.statistics.two_point_steps import (
     misfit,
@@ -89,6 +90,7 @@ def known(wraps):
             lambda: two_point_step(FIELD, TARGET, periodic=MIXED, free=FREE),
             id="step of what is free",
         ),
+        pytest.param(lambda: torus_step(FIELD, TARGET, renew=True)[0], id="step on a torus"),
         pytest.param(lambda: misfit(FIELD, TARGET, periodic=MIXED, free=FREE), id="misfit"),
         pytest.param(
             lambda: distance_step(FIELD, TARGET, Region(FREE.shape, MIXED, FREE)),
@@ -289,7 +291,7 @@ def test_new_material_is_the_same_in_scratch_files(model, whole, tmp_path):
 @pytest.mark.parametrize(
     ("owner", "name", "call", "left"),
     [
-        (novel_layout, "transport_neighbourhoods", 13, 18),
+        (novel_layout, "transport_neighbourhoods", 13, 8),
         (novel_layout, "coherent_search", 6, 2),
         (novel_layout, "coherent_search", 7, 1),
         (Labels, "to_values", 1, 4),  # three counts of small bodies before the result

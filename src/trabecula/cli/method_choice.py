@@ -45,13 +45,10 @@ def check_fits(method: Any, exemplars: list[Any]) -> None:
     """Raise where a method that was named cannot learn from an exemplar, and name one that can."""
     from trabecula.report.recommend import misfit
 
+    known = method.capabilities
     for image in exemplars:
-        why = misfit(
-            image,
-            method.capabilities.name,
-            method.capabilities.exemplar,
-            flat="picture" in method.capabilities.makes,
-        )
+        flat = "picture" in known.makes or (known.accepts(2) and image.kind in known.kinds)
+        why = misfit(image, known.name, known.exemplar, flat=flat)
         if why is not None:
             raise InputError(why)
 

@@ -6,6 +6,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="method gan needs the extra 'learn'")
 
 import trabecula as tb  # noqa: E402
+from trabecula.cli.method_choice import check_fits  # noqa: E402
 from trabecula.errors import InputError  # noqa: E402
 from trabecula.exemplar.views import views_of  # noqa: E402
 from trabecula.synth.gan.adversarial import AdversarialPair  # noqa: E402
@@ -103,6 +104,14 @@ def test_a_volume_is_made_from_pictures_with_their_voxels(tmp_path):
     again = tb.load_model(model.save(tmp_path / "pictures.model"))
     assert again.generate((40, 24, 33), seed=1).spacing == made.spacing
     assert np.array_equal(again.generate((40, 24, 33), seed=1).values, made.values)
+
+
+def test_the_command_line_lets_pictures_pass():
+    method = tb.method("gan", **TINY, iterations=1)
+    check_fits(method, [picture(0)])
+    colour = tb.Image(np.zeros((64, 64, 3), np.uint8), "colour")
+    with pytest.raises(InputError, match="use --method"):
+        check_fits(method, [colour])
 
 
 def test_exemplars_that_do_not_go_together_are_refused():

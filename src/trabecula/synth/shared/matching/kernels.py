@@ -93,14 +93,16 @@ def _distance(features, place, exemplar, candidate, most):
 
 
 @inline
-def _neighbour_cell(match, shape, dz, dy, dx):
-    """Return the index `dz, dy, dx` cells further in E, or -1 outside."""
-    x = match % shape[2] + dx
-    y = (match // shape[2]) % shape[1] + dy
-    z = match // (shape[2] * shape[1]) + dz
-    if z < 0 or y < 0 or x < 0 or z >= shape[0] or y >= shape[1] or x >= shape[2]:
-        return np.int64(-1)
-    return np.int64((z * shape[1] + y) * shape[2] + x)
+def _neighbour_cell(match, shape, axis, step):
+    """Return the index `step` cells further along an axis of E, or -1 outside."""
+    if axis == 0:
+        span, move = shape[0] * shape[1] * shape[2], step * shape[1] * shape[2]
+    elif axis == 1:
+        span, move = shape[1] * shape[2], step * shape[2]
+    else:
+        span, move = shape[2], step
+    place = (match if axis == 0 else match % span) + move
+    return match + move if 0 <= place < span else np.int64(-1)
 
 
 @inline
@@ -149,9 +151,8 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
                     continue
                 site = (z - first, y, x)
                 best = np.int64(old[z, y, x])
-                least = (
-                    np.float32(_distance(features, site, exemplar, best, np.inf)) * penalty[best]
-                )
+                own, kept = best, _distance(features, site, exemplar, best, np.inf)
+                least = np.float32(kept) * penalty[best]
                 for axis in range(3):
                     for side in range(-1, 2, 2):
                         dz, dy, dx = (
@@ -164,8 +165,8 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
                             if not wraps[axis]:
                                 continue
                             nz, ny, nx = nz % Z, ny % Y, nx % X
-                        mz, my, mx = -dz * ratios[0], -dy * ratios[1], -dx * ratios[2]
-                        candidate = _neighbour_cell(np.int64(old[nz, ny, nx]), shape, mz, my, mx)
+                        there = np.int64(old[nz, ny, nx])
+                        candidate = _neighbour_cell(there, shape, axis, -side * ratios[axis])
                         if candidate >= 0 and candidate != best:
                             best, least = _better(
                                 features, site, exemplar, penalty, candidate, best, least
@@ -177,7 +178,9 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
                     near = _around(words, best, shape, max(1, longest >> (k + 2)))
                     best, least = _better(features, site, exemplar, penalty, near, best, least)
                 match[z, y, x] = best
-                distance[z, y, x] = _distance(features, site, exemplar, best, np.inf)
+                if best != own:
+                    kept = _distance(features, site, exemplar, best, np.inf)
+                distance[z, y, x] = kept
 
 
 @kernel
