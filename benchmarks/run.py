@@ -150,6 +150,7 @@ CASES: dict[str, Callable[[], None]] = {
     "papers": papers.papers,
     "view_still": view.view_still,
     "view_page": view.view_page,
+    "view_large": view.view_large,
     "stills": stills.stills,
     "stills_noise": stills.stills_noise,
     "photographs": photographs.photographs,
