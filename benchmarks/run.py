@@ -32,6 +32,7 @@ import gan_ablation
 import gan_paper
 import gan_weights
 import graded
+import graded_bone
 import image
 import image_figures
 import image_paper
@@ -41,6 +42,7 @@ import intervals
 import networks
 import noise
 import novelty_blind
+import oriented
 import papers
 import photographs
 import printing
@@ -49,6 +51,7 @@ import scan
 import stills
 import texture
 import texture_figures
+import texture_grey
 import texture_speed
 import trabecula as tb
 import trends
@@ -98,6 +101,7 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_weights": texture_figures.texture_weights,
     "texture_iso_value": texture_figures.texture_iso_value,
     "texture_histogram": texture_figures.texture_histogram,
+    "texture_grey": texture_grey.texture_grey,
     "by_example_2017": by_example.by_example_2017,
     "by_example_2021": by_example.by_example_2021,
     "evenness": evenness.evenness_table,
@@ -125,8 +129,11 @@ CASES: dict[str, Callable[[], None]] = {
     "graded_cells": graded.graded_cells,
     "graded_section": graded.graded_section,
     "graded_bone": graded.graded_bone,
+    "graded_bone_fields": graded_bone.graded_bone_fields,
     "graded_seams": graded.graded_seams,
     "graded_speed": graded.graded_speed,
+    "oriented": oriented.oriented,
+    "design": oriented.design,
     "bubbles_fit": bubbles_fit.bubbles_fit,
     "noise": noise.noise,
     "bubbles_table": bubbles.bubbles_table,
@@ -143,6 +150,7 @@ CASES: dict[str, Callable[[], None]] = {
     "papers": papers.papers,
     "view_still": view.view_still,
     "view_page": view.view_page,
+    "view_large": view.view_large,
     "stills": stills.stills,
     "stills_noise": stills.stills_noise,
     "photographs": photographs.photographs,

@@ -6,8 +6,9 @@ this.
 2. Every example of every page and of the README, in a folder of its own (steps/examples.py); those
 that passed and have not changed since are left out (steps/cache.py), unless `--fresh` is given. A
 page whose example fails says so, the rest is built, and the exit status is 1.
-3. The pictures of the gallery (steps/pictures.py).
-4. sphinx-build with warnings as errors, into docs/_build/html.
+3. The pictures of the gallery (steps/pictures.py), and the live page (steps/live.py).
+4. sphinx-build with warnings as errors, into docs/_build/html; then every link of the site is
+followed, and what it would load from elsewhere is a fault.
 
 With names of pages as arguments (`docs/build.py howto/formats.md`) only those pages' examples are
 run and nothing is built; with `gallery` only the pictures are drawn, with `strip`
@@ -17,21 +18,27 @@ that of the README.
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-from steps import examples, pages, pictures, strip
+from steps import examples, links, live, pages, pictures, strip
 from steps.cache import ExampleCache
 
 DOCS = Path(__file__).resolve().parent
 README = DOCS.parent / "README.md"
-NOT_PAGES = ("_build", "steps")
+GENERATED = ("methods", "reference")
+NOT_PAGES = ("_build", "steps", "made")
 FAILED = DOCS / "_build" / "failed.json"
 ROOT = DOCS.parent
 SOURCES = (ROOT / "src" / "trabecula", DOCS / "examples", DOCS / "steps")
+SCANS = ROOT.parent / "shared" / "data"
+"""Published scans for the tutorials, where they are at hand; else these fetch them."""
+PLACES = {"gallery": DOCS / "gallery", "live": DOCS / "made" / "live"}
+"""Folders of what is drawn; that of the live page is copied into the site as it is."""
 EXAMPLES = DOCS / "examples"
 """Modules that pages show and import; tests/contract holds them to the contract."""
 
@@ -41,12 +48,15 @@ def main(names: list[str]) -> int:
     fresh = "--fresh" in names
     names = [name for name in names if name != "--fresh"]
     if names == ["gallery"]:
-        run_timed("pictures", lambda: pictures.draw(DOCS / "gallery"))
+        run_timed("gallery", lambda: pictures.draw(PLACES["gallery"]))
         return 0
     if names == ["strip"]:
         run_timed("strip", lambda: strip.draw(DOCS / "images" / "strip.png"))
         return 0
-    run_timed("pages", lambda: pages.write(DOCS))
+    if SCANS.is_dir():
+        os.environ.setdefault("TRABECULA_DATA", str(SCANS))
+    if not names or any(name.partition("/")[0] in GENERATED for name in names):
+        run_timed("pages", lambda: pages.write(DOCS))
     sys.path.append(str(EXAMPLES))
     chosen = [(DOCS / name).resolve() for name in names] or [README, *list_pages()]
     cache = ExampleCache(ROOT / "build" / "docs-cache", SOURCES)
@@ -59,10 +69,14 @@ def main(names: list[str]) -> int:
     if names:
         return 1 if failures else 0
     write_failures(failures, FAILED)
-    key = cache.key("gallery", [])
-    if not (cache.has(key) and (DOCS / "gallery" / "index.md").exists()):
-        run_timed("pictures", lambda: pictures.draw(DOCS / "gallery"))
-        cache.add(key, "gallery")
+    drawings = {"gallery": pictures.draw, "live": live.draw}
+    for name, draw in drawings.items():
+        key, place = cache.key(name, []), PLACES[name]
+        if cache.has(key):
+            cache.restore(key, place)
+        else:
+            run_timed(name, lambda draw=draw, place=place: draw(place))
+            cache.add(key, name, place)
     return run_timed("sphinx", sphinx) or (1 if failures else 0)
 
 
@@ -98,6 +112,9 @@ def sphinx() -> int:
     ]
     command += [str(DOCS), str(out)]
     status = subprocess.run(command, check=False).returncode
+    for fault in links.check(out.resolve()):
+        status = 1
+        print(fault, file=sys.stderr)
     print(f"docs: {out / 'index.html'}" if status == 0 else "docs: Sphinx found faults, see above")
     return status
 

@@ -1,9 +1,15 @@
 """Settings of Sphinx. `docs/build.py` writes the generated pages first and then calls it."""
 
 import json
+import sys
 from pathlib import Path
 
 import trabecula
+
+_DOCS = Path(__file__).resolve().parent
+sys.path.insert(0, str(_DOCS))
+
+from steps import notebooks  # noqa: E402
 
 project = "trabecula"
 author = "The trabecula developers"
@@ -11,11 +17,13 @@ copyright = author
 release = version = trabecula.__version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["_build", "steps"]
+exclude_patterns = ["_build", "steps", "made"]
 html_theme = "furo"
 html_title = f"trabecula {release}"
 html_static_path = ["_static"]
+html_extra_path = [str(_DOCS / notebooks.MADE / "live")]
 html_css_files = ["wide.css"]
+html_theme_options = {"navigation_with_keys": True}
 html_copy_source = False
 
 myst_enable_extensions = ["colon_fence", "deflist"]
@@ -34,7 +42,7 @@ napoleon_use_ivar = True
 suppress_warnings = ["ref.python"]
 
 
-_FAILED = Path(__file__).parent / "_build" / "failed.json"
+_FAILED = _DOCS / "_build" / "failed.json"
 
 
 def show_failure(app, docname, source):
@@ -47,6 +55,16 @@ def show_failure(app, docname, source):
         source[0] = f"~~~~{{error}} {title}\n\n```text\n{shown}\n```\n~~~~\n\n{source[0]}"
 
 
+def show_outputs(app, docname, source):
+    """Put into a tutorial what its cells gave, and into the list of tutorials that of the data."""
+    folder, _, name = docname.partition("/")
+    if folder == notebooks.FOLDER and name != "index":
+        made = _DOCS / notebooks.MADE / folder / name
+        source[0] = notebooks.with_outputs(source[0], made, name)
+    source[0] = source[0].replace("{{ data_sets }}", notebooks.data_sets_table())
+
+
 def setup(app):
     """Register what is done with every page as it is read."""
+    app.connect("source-read", show_outputs)
     app.connect("source-read", show_failure)

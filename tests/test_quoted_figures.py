@@ -39,3 +39,20 @@ def test_what_moved_is_found(quoted, tmp_path):
 
 def test_what_is_read_from_files(quoted):
     assert quoted.measure_extras() == {"lowest": 2.6, "pinned": 2.13}
+
+
+def test_every_row_of_the_readme_is_measured(quoted):
+    table = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Figures")[2]
+    rows = [line for line in table.partition("## ")[0].splitlines() if line.startswith("| ")]
+    texts = [entry["text"] for entry in quoted.read() if entry["file"] == "README.md"]
+    for row in rows[1:]:
+        assert any(text in row for text in texts), row
+
+
+def test_the_table_of_materials_is_summed_up(quoted):
+    assert quoted.sum_materials() == {
+        "materials": 14,
+        "figures": 3351,
+        "percent": 96.7,
+        "whole": 97,
+    }

@@ -1,8 +1,9 @@
 """Examples that passed are not run again while nothing that they depend on has changed.
 
 The key of a page is a hash of its examples, of the package, of the modules that pages import, of
-what runs them, and of the versions of Python and NumPy. A passed page leaves a file of that name in
-build/docs-cache; `docs/build.py --fresh` removes them all.
+what runs them, and of the versions of Python and NumPy. A passed page leaves a folder of that name
+in build/docs-cache, with the pictures that its examples made; `docs/build.py --fresh` removes them
+all.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+
+_PAGE = "page.txt"
 
 
 class ExampleCache:
@@ -45,12 +48,23 @@ class ExampleCache:
 
     def has(self, key: str) -> bool:
         """Return whether the examples passed."""
-        return (self.folder / key).exists()
+        return (self.folder / key / _PAGE).exists()
 
-    def add(self, key: str, page: str) -> None:
-        """Record that they did."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        (self.folder / key).write_text(page + "\n", encoding="utf-8")
+    def add(self, key: str, page: str, made: Path | None = None) -> None:
+        """Record that they did, and keep what they made."""
+        place = self.folder / key
+        shutil.rmtree(place, ignore_errors=True)
+        if made is not None and made.is_dir():
+            shutil.copytree(made, place)
+        place.mkdir(parents=True, exist_ok=True)
+        (place / _PAGE).write_text(page + "\n", encoding="utf-8")
+
+    def restore(self, key: str, made: Path) -> None:
+        """Put back what the examples made."""
+        place = self.folder / key
+        shutil.rmtree(made, ignore_errors=True)
+        if any(path.name != _PAGE for path in place.iterdir()):
+            shutil.copytree(place, made, ignore=shutil.ignore_patterns(_PAGE))
 
     def clear(self) -> None:
         """Forget all."""

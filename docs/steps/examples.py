@@ -8,6 +8,10 @@ line of the block says
 In what is shown `...` stands for anything, and runs of blanks count as one. Other languages, and
 other commands than trabecula, are not run. The folder holds stand-ins for a user's scans (see
 `stand_ins`).
+
+A picture that a page shows as `../made/FOLDER/PAGE/NAME.png` is one that its examples wrote as
+NAME.png. The blocks of tutorials are the cells of notebooks (steps/notebooks.py). What was made is
+kept beside the page's key, so it need not be made again.
 """
 
 from __future__ import annotations
@@ -24,33 +28,23 @@ import tempfile
 import time
 import traceback
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 
+from steps import notebooks
+from steps.blocks import Block, blocks_of
 from steps.cache import ExampleCache
 
 _SAME = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 # Depends on what was run before on this machine.
 _BY_THE_WAY = re.compile(
-    r"^trabecula: (compiling kernels.*|.* (\d+ of \d+|\d+%)(, .* left)?)\n", re.MULTILINE
+    r"^trabecula: (compiling kernels.*|.* (\d+ of \d+|\d+%)(, \d+% of the run)?(, .* left)?)\n",
+    re.MULTILINE,
 )
 """Lines that slow machines print: of compiling, and of progress every 30 seconds."""
-
-
-@dataclass(frozen=True)
-class Block:
-    """A fenced block of a page; `line` is the number of its first line of text, `shown` what a
-    python block prints.
-    """
-
-    language: str
-    text: str
-    line: int
-    shown: str | None = None
 
 
 class WrongExampleError(Exception):
@@ -71,25 +65,37 @@ def run(paths: list[Path], *, home: Path, cache: ExampleCache | None = None) -> 
     with tempfile.TemporaryDirectory() as stock:
         stand_ins(Path(stock))
         for path in paths:
-            start = time.monotonic()
+            start, begun = time.monotonic(), time.process_time()
             blocks = list(runnable(path.read_text(encoding="utf-8")))
             if not blocks:
                 continue
             name = path.relative_to(home)
-            key = None if cache is None else cache.key(name.as_posix(), blocks)
+            key = None if cache is None else cache.key(name.as_posix(), [*blocks, _pictures(path)])
+            place = home / "docs" / notebooks.MADE / path.parent.name / path.stem
             if key is not None and cache.has(key):
+                cache.restore(key, place)
                 known += 1
                 continue
-            failure = _run_page(name, blocks, Path(stock))
-            seconds = time.monotonic() - start
-            print(f"docs:   {name}: {len(blocks)} examples, {seconds:.1f} s", flush=True)
+            shutil.rmtree(place, ignore_errors=True)
+            failure = _run_page(name, blocks, Path(stock), place, path.read_text(encoding="utf-8"))
+            seconds, used = time.monotonic() - start, time.process_time() - begun
+            print(
+                f"docs:   {name}: {len(blocks)} examples, {seconds:.1f} s, "
+                f"{used:.1f} s of the processor",
+                flush=True,
+            )
             if failure:
                 failures[name.as_posix()] = failure
             elif key is not None:
-                cache.add(key, name.as_posix())
+                cache.add(key, name.as_posix(), place)
     if known:
         print(f"docs:   {known} pages passed before, and nothing of them has changed", flush=True)
     return failures
+
+
+def _pictures(path: Path) -> list[str]:
+    """List the pictures that a page shows of its examples."""
+    return re.findall(r"\.\./made/[^)\s]+", path.read_text(encoding="utf-8"))
 
 
 def stand_ins(folder: Path) -> None:
@@ -108,20 +114,6 @@ def stand_ins(folder: Path) -> None:
     tifffile.imwrite(folder / "scan.tif", np.clip(grey, 0, 255).astype(np.uint8))
 
 
-def blocks_of(text: str) -> Iterator[Block]:
-    """List the fenced blocks of a page."""
-    fence, language, held, first = "", "", [], 0
-    for number, line in enumerate(text.splitlines(), start=1):
-        mark = re.match(r"\s*(`{3,})(.*)", line)
-        if not fence and mark:
-            fence, language, held, first = mark[1], mark[2].strip(), [], number + 1
-        elif fence and mark and len(mark[1]) >= len(fence) and not mark[2].strip():
-            yield Block(language, "\n".join(held) + "\n", first)
-            fence = ""
-        elif fence:
-            held.append(line)
-
-
 def runnable(text: str) -> Iterator[Block]:
     """List the python and console blocks, the former with the text block that follows it."""
     lines, found = text.splitlines(), list(blocks_of(text))
@@ -138,15 +130,19 @@ def runnable(text: str) -> Iterator[Block]:
             yield Block("python", block.text, block.line, after.text if follows else None)
 
 
-def _run_page(page: Path, blocks: list[Block], stock: Path) -> str | None:
-    """Run a page and return the reason why it failed, or None."""
+def _run_page(page: Path, blocks: list[Block], stock: Path, place: Path, source: str) -> str | None:
+    """Run a page, keep what it made in `place`, and return the reason why it failed, or None."""
+    cells: list[notebooks.Output] = []
+    tutorial = page.parent.name == notebooks.FOLDER
     # A module of its own: dataclasses, among others, look up the module that they are made in.
     module = sys.modules["example"] = ModuleType("example")
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         shutil.copytree(stock, folder, dirs_exist_ok=True)
         for block in blocks:
             try:
-                if block.language == "python":
+                if block.language == "python" and tutorial:
+                    cells.append(notebooks.run_cell(page, block, module.__dict__, place))
+                elif block.language == "python":
                     _run_python(page, block, module.__dict__)
                 else:
                     _run_console(block)
@@ -158,6 +154,12 @@ def _run_page(page: Path, blocks: list[Block], stock: Path) -> str | None:
                 number = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else None
                 line = number or (lines or [block.line])[-1]
                 return f"{page}:{line}: {type(error).__name__}: {error}"
+        name = f"{page.parent.name}/{page.stem}"
+        missing = notebooks.keep_pictures(source, name, Path(folder), place)
+        if missing:
+            return f"{page}:1: the page shows {', '.join(missing)}, which no example made"
+        if tutorial:
+            notebooks.write_made(place, page.stem, source, cells)
     return None
 
 

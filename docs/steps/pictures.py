@@ -4,10 +4,13 @@ samples, and its certificates.
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
 from pathlib import Path
 
 import numpy as np
+from PIL import Image as Pillow
 
 import trabecula as tb
 from steps.networks import draw_network
@@ -19,23 +22,54 @@ from trabecula.view.slices import montage
 
 _SIDE = 120  # voxels of what is made for a picture
 _SEED = 7
+_THUMBNAIL = (320, 256)
 _LOOK_OF = {"bone": "bone", "foam": "foam"}
 
 
 def draw(folder: Path) -> None:
-    """Draw every picture and write the page that shows them."""
+    """Draw every picture, and write the pages that show them."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    parts = [_INTRODUCTION]
-    for name in tb.samples():
-        parts.append(draw_sample(name, folder))
-    parts.append(draw_shapes(folder))
-    parts.append(draw_sources(folder))
-    parts.append(draw_network(folder))
-    parts.append(draw_looks(folder))
-    parts.append(draw_presets(folder))
-    parts.append(draw_paper(folder))
-    (folder / "index.md").write_text("\n".join(parts), encoding="utf-8")
+    sections = [draw_sample(name, folder) for name in tb.samples()]
+    sections += [draw_shapes(folder), draw_sources(folder), draw_network(folder)]
+    sections += [draw_looks(folder), *draw_presets(folder), draw_paper(folder)]
+    (folder / "sections.json").write_text(json.dumps(sections), encoding="utf-8")
+    write_pages(folder)
+
+
+def write_pages(folder: Path) -> None:
+    """Write a small page for every section, and the one with a thumbnail of each."""
+    text = (folder / "sections.json").read_text(encoding="utf-8")
+    sections = [one for given in json.loads(text) for one in _split(given)]
+    cards, names = [], []
+    for section in sections:
+        title, _, rest = section.removeprefix("## ").partition("\n")
+        name = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+        page = re.sub(r"^### ", "## ", rest, flags=re.MULTILINE)
+        (folder / f"{name}.md").write_text(f"# {title}\n{page}", encoding="utf-8")
+        shown = re.search(r"!\[[^\]]*\]\(([^)]+\.png)\)", section)
+        if shown is None:
+            raise ValueError(f"the section {title!r} of the gallery shows no picture")
+        _thumbnail(folder / shown[1], folder / f"thumb-{name}.png")
+        cards.append(f"[![{title}](thumb-{name}.png)]({name}.md)\n[{title}]({name}.md)\n")
+        names.append(name)
+    page = _INDEX.format(cards="\n".join(cards), names="\n".join(names))
+    (folder / "index.md").write_text(page, encoding="utf-8")
+
+
+def _split(text: str) -> list[str]:
+    """Split what was drawn at its titles of second order."""
+    return [f"## {part.strip()}\n" for part in re.split(r"^## ", text, flags=re.MULTILINE)[1:]]
+
+
+def _thumbnail(picture: Path, place: Path) -> None:
+    """Write the left end of a picture as a thumbnail of 5 to 4."""
+    with Pillow.open(picture) as opened:
+        image = opened.convert("RGB")
+    wide = min(image.width, image.height * 5 // 4)
+    image.crop((0, 0, wide, wide * 4 // 5)).resize(_THUMBNAIL, Pillow.Resampling.LANCZOS).save(
+        place
+    )
 
 
 def draw_sample(name: str, folder: Path) -> str:
@@ -126,22 +160,43 @@ def draw_looks(folder: Path) -> str:
 `sample:bone`.
 A look is colour, gloss and how light goes through; it changes no voxel ([more](../howto/look.md)).
 
+```sh
+trabecula render sample:bone --crop 64 --look bread --size 320 240 --out look-bread.png
+```
+
 | {names} |
 |{" --- |" * len(LOOKS)}
 | {shown} |
 """
 
 
-_INTRODUCTION = """# Gallery
+_INDEX = """# Gallery
 
-Drawn anew at every build of this documentation, from the samples that the package makes. The
-samples are stand-ins for scans: right in kind, wrong in detail. Nothing here is chosen: it is one
-seed, the first that was tried, with its [certificate](../howto/certificate.md) below.
+Drawn at the build of this site, from samples that the package makes and from processes. The samples
+are stand-ins for scans: right in kind, wrong in detail. Nothing here is chosen: it is one seed, the
+first that was tried. Every picture has a page, which says how to make it again.
+
+:::{{container}} cards
+
+{cards}
+:::
+
+```{{toctree}}
+:hidden:
+
+{names}
+```
 """
 
 _SHAPES = """## Forms, tiles, repairs
 
-How they are made: [forms, tiles and repairs](../howto/shapes.md).
+How they are made: [forms, tiles and repairs](../howto/shapes.md); these by
+
+```python
+model = tb.method("texture").fit(tb.sample("foam"))
+tile = model.generate(56, periodic=True, seed=7)
+filled = tb.finish.connect(model.generate(form.shape, mask=form, seed=7))
+```
 
 | a ring filled with foam and connected, cut open | 2 x 2 x 2 of a periodic tile of 56^3 |
 | --- | --- |
@@ -164,7 +219,7 @@ planes of `sample:bone`) whose neighbourhood is nearest to its own
 | {pictures} |
 """
 
-_SAMPLE = """## {name}
+_SAMPLE = """## More {name} from a sample
 
 {summary}. Left the sample, {own}^3 voxels; right {side}^3 voxels made from it by `texture` and
 then connected.

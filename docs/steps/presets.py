@@ -23,12 +23,21 @@ _LOAVES = {"bread": (116, 128, 176), "baguette": (88, 104, 232)}
 """Presets that are shown as a loaf, with its sides; of the others a block."""
 
 
-_SECTION = """## Presets of {method}
+_SECTION = """## {title}, by {method}
 
-Made without an exemplar, seed {seed}, each in the look of its name or one near to it: {names}.
-The settings are on [the method's page](../methods/{method}.md).
+Made without an exemplar, in the look of its name or one near to it: a still, and a slice. The
+settings of the preset are on [the method's page](../methods/{method}.md).
 
-![stills of all presets of {method}]({method}.png)
+![{preset}: a still and a slice]({method}-{preset}.png)
+
+```sh
+trabecula generate --method {method} --preset {preset} \\
+  --shape {shape} --seed {seed} --out {preset}.zarr
+trabecula render {preset}.zarr --look {look} --size 420 320 --out {preset}.png
+```
+{form}"""
+_LOAF = """
+The picture's form is a loaf: `--mask FILE` with a mesh, or a mask of your own.
 """
 
 
@@ -37,14 +46,15 @@ def pictured() -> dict[str, tuple[str, ...]]:
     return {name: spec.presets for name, spec in methods().items() if spec.alone and spec.presets}
 
 
-def draw_presets(folder: Path) -> str:
-    """Draw all of them and return the sections that show them."""
+def draw_presets(folder: Path) -> list[str]:
+    """Draw all of them and return the section of each."""
     sections = []
     for method, presets in pictured().items():
         stills = []
         for preset in presets:
             still, slice_ = _draw(method, preset)
             stills.append(still)
+            sections.append(_section(method, preset))
             Pillow.fromarray(_beside([still, slice_])).save(folder / f"{method}-{preset}.png")
         half = -(-len(stills) // 2)
         rows = [_beside(stills[:half]), _beside(stills[half:])]
@@ -53,23 +63,34 @@ def draw_presets(folder: Path) -> str:
             np.pad(row, [(0, 0), (0, wide - row.shape[1]), (0, 0)], mode="edge") for row in rows
         ]
         Pillow.fromarray(np.concatenate(sheet)).save(folder / f"{method}.png")
-        sections.append(
-            _SECTION.format(
-                method=method, names=", ".join(f"`{name}`" for name in presets), seed=_SEED
-            )
-        )
-    return "\n".join(sections)
+    return sections
+
+
+def _section(method: str, preset: str) -> str:
+    return _SECTION.format(
+        method=method,
+        preset=preset,
+        title=preset.capitalize(),
+        look=_look(preset),
+        shape=" ".join(map(str, _LOAVES.get(preset, _SIDES))),
+        seed=_SEED,
+        form=_LOAF if preset in _LOAVES else "",
+    )
+
+
+def _look(preset: str) -> str:
+    return _LOOK_OF.get(preset, preset if preset in LOOKS else "stone")
 
 
 def _draw(method: str, preset: str) -> tuple[np.ndarray, np.ndarray]:
     """Draw a still, and the middle slice that shows most."""
-    look: Any = LOOKS[_LOOK_OF.get(preset, preset if preset in LOOKS else "stone")]
+    look: Any = LOOKS[_look(preset)]
     mask = loaf(_LOAVES[preset]) if preset in _LOAVES else None
     sides = _SIDES if mask is None else mask.shape
     material = tb.method(method, preset=preset).fit().generate(sides, seed=_SEED, mask=mask)
     still = tb.render(
         material,
-        look=_LOOK_OF.get(preset, preset if preset in LOOKS else "stone"),
+        look=_look(preset),
         size=(420, _TALL),
     )
     colours = np.array([look.void, look.solid], np.uint8)

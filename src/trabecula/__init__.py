@@ -39,6 +39,8 @@ _NAMES = {
     "segment": "trabecula.exemplar.segment",
     "sample": "trabecula.exemplar.samples",
     "samples": "trabecula.exemplar.samples",
+    "fetch": "trabecula.exemplar.fetch",
+    "datasets": "trabecula.exemplar.datasets",
     "describe": "trabecula.measure",
     "method": "trabecula.synth.api.registry",
     "methods": "trabecula.synth.api.registry",

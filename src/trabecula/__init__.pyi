@@ -12,6 +12,8 @@ from trabecula.core.request import Request as Request
 from trabecula.engine.checkpoint import kept_at as kept_at
 from trabecula.engine.parallel import threads as threads
 from trabecula.exemplar.crop import crop as crop
+from trabecula.exemplar.datasets import datasets as datasets
+from trabecula.exemplar.fetch import fetch as fetch
 from trabecula.exemplar.margins import crop_margins as crop_margins
 from trabecula.exemplar.margins import find_margins as find_margins
 from trabecula.exemplar.samples import sample as sample
@@ -52,10 +54,12 @@ __all__ = [
     "choose_settings",
     "crop",
     "crop_margins",
+    "datasets",
     "describe",
     "ensemble",
     "errors",
     "export",
+    "fetch",
     "fields",
     "find_margins",
     "finish",

@@ -5,10 +5,11 @@ import re
 
 import pytest
 
+import trabecula as tb
 from commands import attempt, refused, trabecula
 from trabecula.cli import messages
 from trabecula.cli.messages import Messages, brief_time, messages_shown, note
-from trabecula.core.progress import Fraction, notify, report, track
+from trabecula.core.progress import Fraction, listen, notify, part, report, track, whole_run
 
 MADE = ("generate", "--method", "noise", "--shape", 16, "--out")
 
@@ -123,3 +124,42 @@ def test_a_bar_says_the_time_left(monkeypatch):
 )
 def test_times_are_brief(seconds, text):
     assert brief_time(seconds) == text
+
+
+def test_a_run_has_one_bar(monkeypatch):
+    screen = Screen()
+    monkeypatch.setattr("sys.stderr", screen)
+    shown = Messages()
+    monkeypatch.setattr(shown, "drawn", -1.0)
+    with listen(shown), whole_run("reading"), part(0.5, 1):
+        shown.drawn = -1.0
+        report("making", 0.5)
+    assert "reading" in screen.getvalue() and " 75%" in screen.getvalue()
+
+
+def test_a_log_says_how_far_the_run_is(capsys, monkeypatch):
+    monkeypatch.setattr(messages, "_PAUSE", 0.0)
+    with messages_shown(), whole_run("reading"), part(0.5, 1):
+        list(track("ab", "making"))
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "trabecula: reading 0%, 0% of the run"
+    assert lines[2].startswith("trabecula: making 1 of 2, 75% of the run, ")
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("method", ["texture", "kopf"])
+def test_the_bar_of_a_method_never_restarts(method):
+    exemplar = tb.crop(tb.sample("bone"), 32)
+    if method == "kopf":
+        exemplar = tb.labels(exemplar.values[16])
+    places = []
+
+    def hear(label, fraction):
+        if fraction >= 0:
+            places.append(fraction.run.reached)
+
+    model = tb.method(method).fit(exemplar)
+    with listen(hear):
+        model.generate(20, seed=1)
+    assert places == sorted(places) and places[0] == 0 and places[-1] == 1
+    assert len(set(places)) > 5  # it moves in steps, not from 0 to 1

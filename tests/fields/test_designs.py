@@ -273,3 +273,23 @@ def test_painted_meshes_of_a_case_lie_beside_it(tmp_path, ball):
     with pytest.raises(InputError, match="is a volume, whose voxels are the elements"):
         tb.write(part.image, tmp_path / "part.tif")
         load_part(tmp_path / "part.tif", given, folders=[tmp_path])
+
+
+@pytest.mark.parametrize(
+    ("supports", "how"),
+    [
+        ([{"box": [(0, 0), (0, 1), (0, 0)]}], "turning about y"),
+        ([{"box": [(0, 1), (0, 1), (0, 0)], "axes": "yx"}], "moving along z"),
+    ],
+)
+def test_a_case_that_does_not_hold_the_part_says_how_it_moves(supports, how):
+    loads = [{"box": [(0, 1), (0, 1), (1, 1)], "force": (-1, 0, 0)}]
+    with pytest.raises(InputError, match=f"does not hold the part: .* {how}"):
+        fields.simp({"shape": (3, 3, 6), "supports": supports, "loads": loads})
+
+
+def test_loads_along_what_is_held_need_no_more_supports():
+    supports = [{"box": [(0, 0), (0, 1), (0, 1)], "axes": "z"}]
+    loads = [{"box": [(1, 1), (0, 1), (0, 1)], "force": (-1, 0, 0)}]
+    found = fields.simp({"shape": (3, 3, 3), "supports": supports, "loads": loads})
+    assert found.shape == (3, 3, 3)

@@ -10,6 +10,7 @@ import trabecula as tb
 from trabecula.finish import connect, periodic, prune, remove_floaters, smooth, thicken
 from trabecula.finish.struts import balls
 from trabecula.measure import components, label_components
+from trabecula.measure.labelling import joined_across
 from trabecula.measure.runs import INSIDE, runs_of
 
 
@@ -105,7 +106,7 @@ def test_the_shortest_join_runs_across_a_face():
 def test_runs_joined_across_faces_are_the_components(seed, axes, connectivity):
     solid = np.random.default_rng(seed).random((5, 6, 7)) < 0.3
     found = runs_of(solid.view(np.uint8), INSIDE, connectivity)
-    runs = periodic.joined_across(found, connectivity, axes)
+    runs = joined_across(found, connectivity, axes)
     labels, sizes = label_components(solid, connectivity=connectivity, periodic=axes)
     assert np.array_equal(runs.labels(), labels) and np.array_equal(runs.sizes, sizes)
 

@@ -11,10 +11,10 @@ from trabecula.errors import RequestError
 from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.novel_layout import with_histograms
 from trabecula.synth.shared.statistics.two_point import soft_indicator
 from trabecula.synth.texture.graded import FractionTarget, carry_over, settle_fractions
 from trabecula.synth.texture.method import Texture
-from trabecula.synth.texture.novel_layout import with_histograms
 from trabecula.testing.peak import peak_bytes
 
 SHAPE = (72, 36, 36)
@@ -90,7 +90,7 @@ def test_a_flat_field_is_a_number_and_porosity_the_complement(model):
         {"porosity": np.full((32, 32, 32), 0.75)},
     )
     made = [model.generate(32, seed=2, target=target) for target in asked]
-    assert made[0].values.mean() == pytest.approx(0.25, abs=1e-4)
+    assert made[0].values.mean() == pytest.approx(0.25, abs=2e-3)
     assert digest(made[0].values) == digest(made[1].values) == digest(made[2].values)
 
 
@@ -101,7 +101,8 @@ def test_names_of_phases_count_and_not_their_order(bone, model):
     made = (
         Texture.configure(preset="fast").fit(turned).generate(32, seed=1, target={"porosity": 0.7})
     )
-    assert np.mean(made.values == 1) == pytest.approx(0.7, abs=1e-4)
+    assert np.mean(made.values == 1) == pytest.approx(0.7, abs=2e-3)
+    assert tb.measure.components(made) == 1
 
 
 @pytest.mark.whole
@@ -125,8 +126,9 @@ def test_inside_a_mask_and_around_an_axis(model, ramp):
     around = model.generate(
         (40, 40, 40), seed=1, periodic=True, target={"volume_fraction": 0.2}
     ).values
-    seam = np.abs(np.diff(around.astype(int), axis=0)).mean()
-    assert np.abs(around[-1].astype(int) - around[0]).mean() < 1.6 * seam
+    across = [np.mean(around.take(-1, axis) != around.take(0, axis)) for axis in range(3)]
+    inside = [np.mean(np.diff(around.astype(int), axis=axis) != 0) for axis in range(3)]
+    assert sum(across) < 1.6 * sum(inside)
 
 
 @pytest.mark.whole
@@ -145,7 +147,7 @@ def test_fixed_voxels_stay_and_the_rest_follows(model, bone):
         shape, seed=1, fixed=fixed, known=known, target={"volume_fraction": asked}
     ).values
     assert np.array_equal(made[:12], bone.values[:12, :24, :24])
-    assert made.mean() == pytest.approx(asked.values.mean(), abs=1e-3)
+    assert made.mean() == pytest.approx(asked.values.mean(), abs=3e-3)
     assert made[28:].mean() > made[12:28].mean()
 
 

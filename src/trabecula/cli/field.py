@@ -18,6 +18,7 @@ KINDS = {
     "ramp": "linear from one face to the opposite one",
     "radial": "linear from a middle outwards",
     "formula": "by a formula in z y x (positions) and Z Y X (sides)",
+    "direction": "a field of directions, by formulas of its components z, y, x",
     "picture": "drawn: black is --low, white is --high",
     "interpolate": "from values at points, by inverse distance",
     "simp": "the density of the stiffest part under its loads",
@@ -51,6 +52,8 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.io.files import write
     from trabecula.pipeline.outputs import check_target
 
+    if options.made == "direction":
+        return _direction(fields, options)
     check_target(options.out)
     field = _MAKERS[options.made](fields, options)
     write(field, options.out)
@@ -221,6 +224,41 @@ def _formula(fields: Any, options: argparse.Namespace) -> Any:
     return fields.formula(given.pop("shape"), options.formula, **given)
 
 
+def _add_direction(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "formulas",
+        nargs=3,
+        metavar="FORMULA",
+        help="components z, y, x, such as 1 0 'x / X'; only the direction counts",
+    )
+    _add_grid(parser)
+
+
+def _direction(fields: Any, options: argparse.Namespace) -> int:
+    """Write a field of directions, which is no image, and say where it jumps."""
+    given = _grid(options)
+    given.pop("unit")
+    found = fields.direction_formula(given.pop("shape"), options.formulas, **given)
+    _save_directions(found.values, options.out, name="--out")
+    faults = shared.note_directions(found.values, None)
+    if options.json:
+        terminal.show_json({"out": options.out, "shape": found.shape, **faults})
+    else:
+        print(f"{options.out}: directions of {' x '.join(map(str, found.shape))} voxels")
+    return 0
+
+
+def _save_directions(values: Any, path: str, *, name: str) -> None:
+    import numpy as np
+
+    from trabecula.engine.files import replacing
+
+    if Path(path).suffix != ".npy":
+        raise InputError(f"{name} {path}: directions are written as .npy")
+    with replacing(Path(path)) as temporary, temporary.open("wb") as file:
+        np.save(file, values)
+
+
 def _add_picture(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="picture (.png .jpg .tif)")
     _add_grid(parser)
@@ -302,7 +340,15 @@ def _add_simp(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--directions",
         metavar="FILE.npy",
-        help="also write the direction of the largest principal stress: z, y, x of every element",
+        help="also write the direction of the largest principal stress: z, y, x of every element, "
+        "with --shape of every voxel; smoothed by --smooth",
+    )
+    parser.add_argument(
+        "--smooth",
+        default="1",
+        metavar="S",
+        help="width in elements over which directions are averaged, weighted by the stress "
+        "(default 1; 0: none)",
     )
     parser.add_argument(
         "--shape", nargs="+", metavar="N", help="voxels of the field (default: one an element)"
@@ -324,10 +370,6 @@ def _add_simp(parser: argparse.ArgumentParser) -> None:
 
 
 def _simp(fields: Any, options: argparse.Namespace) -> Any:
-    import numpy as np
-
-    from trabecula.engine.files import replacing
-
     if options.directions is not None and Path(options.directions).suffix != ".npy":
         raise InputError(f"--directions {options.directions}: directions are written as .npy")
     words = {
@@ -346,12 +388,30 @@ def _simp(fields: Any, options: argparse.Namespace) -> Any:
     field = fields.simp(chosen, **given, **part, **numbers)
     if options.directions is not None:
         penalty = numbers.get("penalty")
-        stress = fields.principal_stress(field, chosen, **part, penalty=penalty)
-        with replacing(Path(options.directions)) as temporary:
-            np.save(temporary, stress.direction)
+        ways = _stress_directions(fields, options, field, chosen, {**part, "penalty": penalty})
+        _save_directions(ways, options.directions, name="--directions")
     if options.shape is None:
         return field
     return fields.resample(field, shared.integers(options.shape, name="--shape"))
+
+
+def _stress_directions(
+    fields: Any, options: argparse.Namespace, field: Any, chosen: Any, given: dict[str, Any]
+) -> Any:
+    """Return the directions of the largest principal stress, smoothed, on elements or voxels."""
+    import numpy as np
+
+    stress = fields.principal_stress(field, chosen, **given)
+    width, ways = _number(options.smooth, "--smooth"), stress.direction
+    inside = ways.any(axis=-1)
+    if width:
+        found = fields.smooth_directions(ways, sigma=width, weights=np.abs(stress.stress))
+        ways = np.where(inside[..., None], found.values, 0)
+    if options.shape is not None:
+        sides = shared.integers(options.shape, name="--shape")
+        ways = fields.resample_directions(fields.continue_directions(ways), sides).values
+    shared.note_directions(ways, inside if options.shape is None else None)
+    return ways
 
 
 def _part(options: argparse.Namespace, chosen: Any, elements: Any) -> tuple[Any, Any]:
@@ -384,12 +444,32 @@ def _add_stress(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="the form that the part fills: a volume of labels of the same shape (default: all)",
     )
+    parser.add_argument(
+        "--html",
+        metavar="FILE",
+        help="also write a page: compliance asked and got, peaks, weakest struts, pictures",
+    )
+    parser.add_argument(
+        "--density",
+        metavar="FILE",
+        help="with --html: the design that the part follows (field simp): its compliance is asked",
+    )
+    parser.add_argument(
+        "--modulus",
+        metavar="PA",
+        help="with --html: Young's modulus of the solid in pascal; forces are then newtons",
+    )
     shared.add_reading(parser)
 
 
 def _stress(fields: Any, options: argparse.Namespace) -> Any:
+    from trabecula.pipeline.certificate_page import check_page
     from trabecula.pipeline.inputs import load
 
+    if options.html is not None:
+        check_page(options.html)
+    elif options.density is not None or options.modulus is not None:
+        raise InputError("--density and --modulus are for the page: give --html FILE as well")
     image = shared.load_exemplar(options.file, options)
     mask = None if options.mask is None else load(options.mask)
     field = fields.part_stress(image, options.case, phase=options.phase, mask=mask)
@@ -405,7 +485,31 @@ def _stress(fields: Any, options: argparse.Namespace) -> Any:
     )
     if report["loose"] > 0:
         terminal.note(f"{report['loose']:.2%} of the solid is held by nothing and was left out")
+    if options.html is not None:
+        _write_page(fields, options, image, field, mask)
     return field
+
+
+def _write_page(
+    fields: Any, options: argparse.Namespace, image: Any, field: Any, mask: Any
+) -> None:
+    """Write the page of a part under its loads."""
+    from trabecula.core.image import Image
+    from trabecula.pipeline.design_page import asked_compliance, write_design_page
+    from trabecula.pipeline.inputs import load
+
+    asked = None
+    if options.density is not None:
+        density = load(options.density, threshold="none")
+        form = None
+        if mask is not None:
+            void = mask.phases.index("void") if "void" in mask.phases else 0
+            inside = Image((mask.values != void).astype("float32"), "grey")
+            form = fields.resample(inside, density.shape).values > 0.5
+        asked = asked_compliance(density, options.case, mask=form)
+    modulus = None if options.modulus is None else _number(options.modulus, "--modulus")
+    write_design_page(options.html, image, field, asked=asked, modulus=modulus)
+    terminal.note(f"{options.html}: the part under its loads as a page")
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
@@ -466,6 +570,7 @@ _ARGUMENTS = {
     "ramp": _add_ramp,
     "radial": _add_radial,
     "formula": _add_formula,
+    "direction": _add_direction,
     "picture": _add_picture,
     "interpolate": _add_interpolate,
     "simp": _add_simp,

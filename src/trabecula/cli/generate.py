@@ -14,6 +14,10 @@ from trabecula.cli import options as shared
 from trabecula.cli import terminal
 from trabecula.cli.method_choice import check_fits, method_for, tried
 from trabecula.core.errors import InputError
+from trabecula.core.progress import part, whole_run
+
+_READING, _TRIALS = 0.02, 0.7
+"""Parts of a run's time before it learns: reading, and with --effort trials of settings."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="instead of all else: resume the interrupted run that makes FILE; what it started "
         "from is looked for "
-        "where it was, or given with --exemplar, --model, --mask, --fixed, --known, --coarse",
+        "where it was, or given with --exemplar, --model, --mask, --fixed, --known, --coarse, "
+        "--like",
     )
     group.add_argument(
         "--exemplar",
@@ -122,6 +127,12 @@ class GenerateTask:
     """A line that says which method was chosen, and why; empty where it was named."""
     asked: Any = field(default_factory=dict)
     """The property that is to be met by changing porosity; empty where none is."""
+
+    def learning_share(self) -> float:
+        """Return the part of the run's time that learning takes; 0 where nothing is learned."""
+        if self.model is not None:
+            return 0.0
+        return float(self.method.learning_share(self.exemplars, self.request.shape))
 
     def fit(self, *, memory: int | None) -> Any:
         """Return the model, which is learned where it is not given."""
@@ -266,18 +277,36 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _generate(options: argparse.Namespace) -> Any:
-    from trabecula.pipeline.generate import generate_to
     from trabecula.pipeline.outputs import check_target
-    from trabecula.pipeline.plan import plan_to
 
     _check_out(options)
     check_target(options.out, resumes=True)
     cluster = _cluster(options)
-    job = _prepare(options)
-    if job.asked:
-        _check_match(options, job, cluster)
-        return _match(options, job, job.fit(memory=options.memory))
-    model = job.fit(memory=options.memory)
+    with whole_run("reading"):
+        begin = _share_before(options)
+        with part(0, begin):
+            job = _prepare(options)
+        if not job.asked:
+            with part(begin, 1):
+                return _make(options, job, cluster)
+    _check_match(options, job, cluster)
+    return _match(options, job, job.fit(memory=options.memory))
+
+
+def _share_before(options: argparse.Namespace) -> float:
+    """Return the part of the run's time before it learns."""
+    return _READING if options.effort is None else _TRIALS
+
+
+def _make(options: argparse.Namespace, job: GenerateTask, cluster: Any) -> Any:
+    """Learn, make and write."""
+    from trabecula.pipeline.generate import generate_to
+    from trabecula.pipeline.outputs import check_target
+    from trabecula.pipeline.plan import plan_to
+
+    learning = job.learning_share()
+    with part(0, learning):
+        model = job.fit(memory=options.memory)
     cut = {"memory": options.memory, "chunks": options.chunks}
     # What workers need is forecast when they are there and tell what they have.
     size = (
@@ -286,9 +315,10 @@ def _generate(options: argparse.Namespace) -> Any:
         else model.plan(job.request).disk
     )
     check_target(options.out, size=size, resumes=True)
-    made = generate_to(
-        model, job.request, options.out, **cut, cluster=cluster, scratch=options.scratch
-    )
+    with part(learning, 1):
+        made = generate_to(
+            model, job.request, options.out, **cut, cluster=cluster, scratch=options.scratch
+        )
     _note_figures(model, job.request, made)
     return made
 
@@ -361,24 +391,36 @@ def _check_ensemble(options: argparse.Namespace) -> None:
 
 def _generate_members(options: argparse.Namespace) -> int:
     """Make the members of an ensemble and its manifest."""
-    from trabecula.pipeline.ensemble import draw_members
-    from trabecula.pipeline.members import check_pattern, generate_members, member_path
-    from trabecula.pipeline.outputs import check_target
-    from trabecula.pipeline.plan import plan_to
+    from trabecula.pipeline.members import check_pattern
 
     _check_out(options)
     check_pattern(options.out)
     count = shared.integer(options.count, name="--count")
     spread = shared.number(options.spread or "1", name="--spread")
     cluster = _cluster(options)
-    job = _prepare(options)
+    with whole_run("reading"):
+        return _make_members(options, count, spread, cluster)
+
+
+def _make_members(options: argparse.Namespace, count: int, spread: float, cluster: Any) -> int:
+    """Learn, and make the members one after another."""
+    from trabecula.pipeline.ensemble import draw_members
+    from trabecula.pipeline.members import generate_members, member_path
+    from trabecula.pipeline.outputs import check_target
+    from trabecula.pipeline.plan import plan_to
+
+    begin = _share_before(options) / count
+    with part(0, begin):
+        job = _prepare(options)
     if job.asked:
         raise InputError(
             f"--count beside --target {next(iter(job.asked))}: a property is met by one result; "
             "find its porosity, then give --target porosity=P with --count"
         )
     check_target(member_path(options.out, job.request), resumes=True)
-    model = job.fit(memory=options.memory)
+    learned = begin + (1 - begin) * job.learning_share() / count
+    with part(begin, learned):
+        model = job.fit(memory=options.memory)
     members = draw_members(model, job.request, count=count, spread=spread)
     if members.note:
         terminal.note(members.note)
@@ -386,9 +428,10 @@ def _generate_members(options: argparse.Namespace) -> int:
     first = member_path(options.out, job.request)
     size = plan_to(model, members.requests[0], first, **cut).disk if cluster is None else 0
     check_target(first, size=size * count, resumes=True)
-    made = generate_members(
-        model, members, options.out, **cut, cluster=cluster, scratch=options.scratch
-    )
+    with part(learned, 1):
+        made = generate_members(
+            model, members, options.out, **cut, cluster=cluster, scratch=options.scratch
+        )
     if options.json:
         terminal.show_json({"manifest": str(made.manifest), **made.read()})
     else:
@@ -396,7 +439,7 @@ def _generate_members(options: argparse.Namespace) -> int:
     return 0
 
 
-_MOVED = ("exemplar", "mask", "fixed", "known", "coarse", "model")
+_MOVED = ("exemplar", "mask", "fixed", "known", "coarse", "like", "model")
 
 
 def _resume(options: argparse.Namespace) -> Any:
@@ -418,7 +461,8 @@ def _resume(options: argparse.Namespace) -> Any:
         )
     moved = {name: getattr(options, name) for name in _MOVED}
     kept_in = {"memory": options.memory, "cluster": _cluster(options), "scratch": options.scratch}
-    return resume(options.resume, **kept_in, **moved)
+    with whole_run("reading"):
+        return resume(options.resume, **kept_in, **moved)
 
 
 def _cluster(options: argparse.Namespace) -> Any:

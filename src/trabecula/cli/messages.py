@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TextIO
 
 from trabecula.core.errors import FileError
-from trabecula.core.progress import Fraction, StageClock, listen
+from trabecula.core.progress import Fraction, StageClock, listen, run_of
 
 _WIDTH = 20  # of a bar, characters
 _LABEL = 36
@@ -36,7 +36,7 @@ class Messages:
         self.bars = not self.quiet and sys.stderr.isatty()
 
     def __call__(self, label: str, fraction: float) -> None:
-        """Show a stage's progress, or a line where `fraction` is negative."""
+        """Show the progress of a run or a stage, or a line where `fraction` is negative."""
         if fraction < 0:
             self.show(label)
             return
@@ -46,13 +46,16 @@ class Messages:
             self.clear()
             self.show(f"{label}: {brief_time(stage.seconds)}", shown=self.verbose)
             return
-        left = "" if stage.left is None else f"{brief_time(stage.left)} left"
+        run = run_of(fraction)
+        seconds = stage.left if run is None else run.left()
+        left = "" if seconds is None else f"{brief_time(seconds)} left"
         if self.bars and now - self.drawn >= 0.05:
             self.drawn = now
-            self._draw(label, fraction, left)
+            self._draw(label, fraction if run is None else run.reached, left)
         if now - self.written >= _PAUSE:
             self.written = now
-            line = f"{label} {_count(fraction)}" + (left and f", {left}")
+            whole = "" if run is None else f", {run.reached:.0%} of the run"
+            line = f"{label} {_count(fraction)}{whole}" + (left and f", {left}")
             self.show(line, shown=not self.bars)
 
     def show(self, line: str, *, shown: bool = True, error: bool = False) -> None:
@@ -137,6 +140,6 @@ def brief_time(seconds: float) -> str:
 
 
 def _count(fraction: float) -> str:
-    if isinstance(fraction, Fraction):
+    if isinstance(fraction, Fraction) and fraction.total:
         return f"{fraction.done} of {fraction.total}"
     return f"{fraction:.0%}"

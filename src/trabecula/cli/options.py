@@ -161,12 +161,19 @@ def add_parts(parser: argparse.ArgumentParser) -> None:
         "it is down-sampled; the exemplar is a picture at the result's resolution",
     )
     group.add_argument(
+        "--like",
+        metavar="RELATIVE",
+        help="3-D scan of a similar material, or sample:NAME: what the picture that is the "
+        "exemplar does not show (joins, loops, thickness in space) is taken from it",
+    )
+    group.add_argument(
         "--target",
         action="append",
         default=[],
         metavar="NAME=VALUE",
         help="descriptor that the result is to have: porosity=0.25, volume_fraction=FILE (a field "
-        "of the result's shape), or one property that is met by changing porosity: "
+        "of the result's shape), orientation=Z,Y,X (or a .npy file of vectors, or a structure), "
+        "size=1.5 (or a field), or one property that is met by changing porosity: "
         "permeability=2e-6, stiffness:z=0.05, ... (the image's unit)",
     )
 
@@ -192,13 +199,14 @@ def load_parts(
     shape: tuple[int, ...] | None,
     views: Any = (),
 ) -> dict[str, Any]:
-    """Load mask, fixed, known, coarse and target of a request from their files; `views` are the
-    planes of pictures. Where a coarse scan alone says the shape, that is returned as "shape".
+    """Load mask, fixed, known, coarse, like and target of a request from their files; `views` are
+    the planes of pictures. Where a coarse scan alone says the shape, that is returned as "shape".
     """
     from trabecula.pipeline.inputs import (
         load_coarse,
         load_fixed,
         load_mask,
+        load_relative,
         refined_shape,
         voxels_of,
     )
@@ -238,6 +246,8 @@ def load_parts(
         if shape is None:
             edges = voxels_of(exemplars, views)
             found["shape"] = refined_shape(found["coarse"], edges, exemplar.unit)
+    if options.like is not None:
+        found["like"] = load_relative(options.like, exemplar)
     return found
 
 
@@ -254,11 +264,50 @@ def load_targets(pairs: list[str]) -> dict[str, Any]:
             )
         if name in found:
             raise InputError(f"--target {name} is given twice: give one")
+        if name == "orientation":
+            found[name] = _load_orientation(value)
+            continue
         try:
             found[name] = float(value)
         except ValueError:
             found[name] = load(value, threshold="none")
     return found
+
+
+def _load_orientation(value: str) -> Any:
+    """Load a direction: three numbers z,y,x, a .npy file of vectors, or a structure whose principal
+    fabric direction is meant.
+    """
+    from pathlib import Path
+
+    from trabecula.fields import read_directions
+    from trabecula.measure import fabric
+    from trabecula.pipeline.inputs import load
+
+    try:
+        return [float(word) for word in value.split(",")]
+    except ValueError:
+        if Path(value).suffix == ".npy":
+            return read_directions(value)
+        return fabric(load(value, threshold="auto")).directions[0].tolist()
+
+
+def note_directions(values: Any, mask: Any, *, degrees: float = 45.0) -> dict[str, int]:
+    """Say where a field of directions has poles and jumps, and return their numbers."""
+    from trabecula.cli import terminal
+    from trabecula.core.directions import find_jumps, list_places
+
+    poles, jumps = ~values.any(axis=-1), find_jumps(values, mask, degrees=degrees)
+    if mask is not None:
+        poles &= mask
+    if poles.any():
+        terminal.note(f"no direction at {poles.sum()} voxels{list_places(poles)}")
+    if jumps.any():
+        terminal.note(
+            f"the direction turns by more than {degrees:g} degrees from voxel to voxel at "
+            f"{jumps.sum()} of {jumps.size}{list_places(jumps)}: material there follows neither"
+        )
+    return {"poles": int(poles.sum()), "jumps": int(jumps.sum())}
 
 
 def add_level(parser: argparse.ArgumentParser) -> None:

@@ -13,13 +13,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """List the samples, and the places where real scans are published."""
+    """List the samples, the data sets, and the places where real scans are published."""
+    from trabecula.exemplar.datasets import datasets
     from trabecula.exemplar.samples import REAL_SCANS, samples
 
     if options.json:
-        terminal.show_json({"samples": samples(), "real_scans": dict(REAL_SCANS)})
+        terminal.show_json(
+            {"samples": samples(), "data": datasets(), "real_scans": dict(REAL_SCANS)}
+        )
         return 0
     terminal.show_rows([(f"sample:{name}", summary) for name, summary in samples().items()])
-    print("\nThey are stand-ins. Real scans are published by:")
+    print("\nThey are stand-ins. Real scans and pictures (downloaded, or from TRABECULA_DATA=DIR):")
+    terminal.show_rows([(f"data:{name}", summary) for name, summary in datasets().items()])
+    print("\nMore are published by:")
     terminal.show_rows([("  " + name, what) for name, what in REAL_SCANS])
     return 0

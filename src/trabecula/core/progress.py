@@ -2,6 +2,9 @@
 
 Work calls `track` (a loop) or `notify` (a line); nobody passes a bar around. Without a listener
 both cost nothing, so library code stays quiet and the command line shows a bar.
+
+A run of several stages is a `whole_run`: it says with `part` which part of it each stage is, by its
+expected cost, and every loop inside a stage moves on from there. So one bar goes from 0 to 1 once.
 """
 
 from __future__ import annotations
@@ -9,7 +12,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import NamedTuple, TypeVar
@@ -28,17 +31,70 @@ class Fraction(float):
     Attributes
     ----------
     done, total : int
-        Items.
+        Items; both 0 where nothing is counted.
+    run : WholeRun, optional
+        The run of which this stage is a part.
     """
 
     done: int
     total: int
+    run: WholeRun | None
 
-    def __new__(cls, done: int, total: int) -> Fraction:
+    def __new__(cls, done: int, total: int, run: WholeRun | None = None) -> Fraction:
         """Return `done / total`, and at most 1."""
         made = super().__new__(cls, min(done / max(total, 1), 1.0))
-        made.done, made.total = done, total
+        made.done, made.total, made.run = done, total, run
         return made
+
+    @classmethod
+    def of(cls, fraction: float, run: WholeRun | None) -> Fraction:
+        """Return a fraction that counts nothing."""
+        made = super().__new__(cls, fraction)
+        made.done, made.total, made.run = 0, 0, run
+        return made
+
+
+class WholeRun:
+    """How far a run of several stages is, and how long it has taken.
+
+    Attributes
+    ----------
+    reached : float
+        Fraction done, 0..1; it never falls.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now = now
+        self._begun = now()
+        self.reached = 0.0
+
+    def reach(self, fraction: float) -> None:
+        """Move on to a fraction, where that is farther."""
+        self.reached = min(max(self.reached, fraction), 1.0)
+
+    def left(self) -> float | None:
+        """Return the seconds that are left, at the speed so far; None before anything is done."""
+        if not self.reached:
+            return None
+        return (self._now() - self._begun) * (1 - self.reached) / self.reached
+
+
+class Span(NamedTuple):
+    """The part of a run that the current work is, from `first` to `last`, 0..1."""
+
+    run: WholeRun
+    first: float
+    last: float
+
+    def within(self, begin: float, end: float) -> Span:
+        """Return the part from `begin` to `end` of this one."""
+        wide = self.last - self.first
+        return Span(self.run, self.first + begin * wide, self.first + end * wide)
+
+
+def run_of(fraction: float) -> WholeRun | None:
+    """Return the run of which a stage is a part."""
+    return fraction.run if isinstance(fraction, Fraction) else None
 
 
 class StageTime(NamedTuple):
@@ -73,6 +129,60 @@ class StageClock:
 
 
 _listener: ContextVar[Listener | None] = ContextVar("trabecula_progress", default=None)
+_span: ContextVar[Span | None] = ContextVar("trabecula_span", default=None)
+
+
+@contextmanager
+def whole_run(label: str = "starting") -> Iterator[None]:
+    """Count all stages inside the block as parts of one run; inside such a block do nothing.
+
+    Parameters
+    ----------
+    label : str
+        What the run begins with.
+    """
+    if _listener.get() is None or _span.get() is not None:
+        yield
+        return
+    token = _span.set(Span(WholeRun(), 0.0, 1.0))
+    try:
+        report(label, 0.0)
+        yield
+    finally:
+        _span.reset(token)
+
+
+def current_span() -> Span | None:
+    """Return the part of a run that the current work is; None outside of a `whole_run`."""
+    return _span.get()
+
+
+@contextmanager
+def part(begin: float, end: float, *, of: Span | None = None) -> Iterator[None]:
+    """Count what runs inside the block as the part from `begin` to `end`, 0..1, of the part that
+    the block is in, or of another; outside of a `whole_run` do nothing.
+    """
+    outer = _span.get()
+    if outer is None:
+        yield
+        return
+    here = (of or outer).within(begin, end)
+    here.run.reach(here.first)
+    token = _span.set(here)
+    try:
+        yield
+        here.run.reach(here.last)
+    finally:
+        _span.reset(token)
+
+
+@contextmanager
+def part_of(costs: Sequence[float], place: int) -> Iterator[None]:
+    """Count what runs inside the block as one of several parts, each as long as its cost."""
+    total = sum(costs) or 1.0
+    before = sum(costs[:place])
+    with part(before / total, (before + costs[place]) / total):
+        yield
 
 
 @contextmanager
@@ -94,8 +204,10 @@ def progress(listener: Listener | None = None) -> Iterator[None]:
     listener : callable, optional
         Called as `listener(label, fraction)`: the stage's name, and the fraction of it that is
         done, 0 to 1; 1 ends the stage, and a negative fraction means that the label is a line of
-        text. Without one a line on standard error is rewritten: stage, percent and time left, in a
-        notebook as on a terminal. An error of a listener ends the work: so a run is cancelled.
+        text. While material is made `fraction.run.reached` is the fraction of the whole run, and
+        `fraction.run.left()` the seconds left. Without a listener a line on standard error is
+        rewritten: stage, percent of the run and time left, in a notebook as on a terminal. An error
+        of a listener ends the work: so a run is cancelled.
 
     Raises
     ------
@@ -140,6 +252,9 @@ class ProgressLine:
             self.end(keep=True)
             return
         left = self._clock.update(label, fraction).left
+        run = run_of(fraction)
+        if run is not None:
+            fraction, left = run.reached, run.left()
         if fraction < 1 and self._now() - self._drawn < 0.1:
             return
         self._drawn = self._now()
@@ -167,10 +282,26 @@ def track(items: Iterable[T], label: str, *, total: int | None = None) -> Iterat
     if total is None:
         items = list(items)
         total = len(items)
-    listener(label, Fraction(0, total))
-    for done, item in enumerate(items, start=1):
-        yield item
-        listener(label, Fraction(done, total))
+    span = _span.get()
+    run = None if span is None else span.run
+    _send(label, Fraction(0, total, run))
+    done, source = 0, iter(items)
+    try:
+        while True:
+            if span is not None:  # loops inside an item, or in making it, move on within it
+                _span.set(
+                    span.within(min(done / max(total, 1), 1), min((done + 1) / max(total, 1), 1))
+                )
+            try:
+                item = next(source)
+            except StopIteration:
+                return
+            yield item
+            done += 1
+            _span.set(span)
+            _send(label, Fraction(done, total, run))
+    finally:
+        _span.set(span)
 
 
 def notify(line: str) -> None:
@@ -184,6 +315,15 @@ def report(label: str, done: float) -> None:
     """Report the fraction done, 0..1, of work that is no loop over items; the label may change
     meanwhile.
     """
-    listener = _listener.get()
+    span = _span.get()
+    if _listener.get() is not None:
+        _send(label, done if span is None else Fraction.of(done, span.run))
+
+
+def _send(label: str, fraction: float) -> None:
+    """Send the fraction to the listener, and move the run on."""
+    span, listener = _span.get(), _listener.get()
+    if span is not None:
+        span.run.reach(span.first + float(fraction) * (span.last - span.first))
     if listener is not None:
-        listener(label, done)
+        listener(label, fraction)

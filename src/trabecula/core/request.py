@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.brief import brief
 from trabecula.core.checks import as_seed, as_shape, quote
+from trabecula.core.directions import check_poles
 from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
-from trabecula.core.target import Target, as_target, origins_of
+from trabecula.core.target import Target, as_target, is_field, origins_of
 
 _AXES = "zyx"
-_IMAGES = ("mask", "fixed", "known", "coarse")
+_IMAGES = ("mask", "fixed", "known", "coarse", "like")
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +46,10 @@ class Request:
         phase "void" (label 0 where none has that name), "volume_fraction" what remains to 1,
         "volume_fraction:PHASE" the share of a phase, all 0 .. 1; "surface", "mean_curvature" and
         "euler" are densities of the Minkowski functionals of the solid, per voxel; of pictures
-        "perimeter" and "euler". Methods say which they honour. Fields are kept as float32 arrays.
+        "perimeter" and "euler". "orientation" is the direction that the exemplar's principal
+        fabric direction (the longest mean intercept) is turned to: a vector (z, y, x), or a field
+        (Z, Y, X, 3) of them, sign and length free; "size" the factor on its lengths, 0.25 .. 4.
+        Methods say which they honour. Fields are kept as float32 arrays.
     fixed : Image, (Z, Y, X), optional
         Measured voxels that must come out unchanged, where `known` says so; what it holds elsewhere
         does not matter.
@@ -55,11 +59,14 @@ class Request:
     coarse : Image of labels or grey, (Z / a, Y / b, X / c), optional
         A scan of the same place at a low resolution, a x b x c voxels of the result in each of its
         own: down-sampled, the result is to be this scan. It stands beside shape and seed alone.
+    like : Image of labels, (Z, Y, X), optional
+        A scan of a similar material, of any size: what pictures do not show is taken from it. It
+        stands beside shape, seed and periodic axes alone.
 
     Attributes
     ----------
     origins : mapping of str to Recipe
-        How mask, fixed, known and coarse came to be, for the recipe of the result; fields of
+        How mask, fixed, known, coarse and like came to be, for the recipe of the result; fields of
         `target` as "target.NAME".
     voxel : (tuple of float, str), optional
         Spacing and unit of a mask that is an Image and states them.
@@ -73,7 +80,7 @@ class Request:
         A descriptor that cannot be a target.
     RequestError
         Parts that contradict each other: known voxels at both ends of a periodic axis; a shape that
-        is no whole multiple of a coarse scan's, or another part beside one.
+        is no whole multiple of a coarse scan's, or another part beside one or beside `like`.
 
     Examples
     --------
@@ -93,6 +100,7 @@ class Request:
     fixed: Image | None = None
     known: np.ndarray | None = None
     coarse: Image | None = None
+    like: Image | None = None
     origins: Mapping[str, Recipe] = field(init=False, repr=False, default_factory=dict)
     voxel: tuple[tuple[float, ...], str] | None = field(init=False, default=None)
 
@@ -123,20 +131,24 @@ class Request:
         object.__setattr__(self, "periodic", _as_periodic(self.periodic, len(self.shape)))
         object.__setattr__(self, "target", as_target(self.target, self.shape))
         _check_mask(self.mask, self.shape)
+        if "orientation" in self.target:
+            poles = np.asarray(self.target["orientation"])
+            check_poles(poles, self.mask, name="the target orientation")
         _check_fixed(self)
         _check_coarse(self)
+        _check_like(self)
 
     def asks_for(self) -> frozenset[str]:
         """Return the optional parts of the request that are in use."""
         used = {"periodic": any(self.periodic), "mask": self.mask is not None}
         used |= {"target": bool(self.target), "fixed": self.fixed is not None}
-        used |= {"coarse": self.coarse is not None}
+        used |= {"coarse": self.coarse is not None, "like": self.like is not None}
         return frozenset(name for name, asked in used.items() if asked)
 
     @property
     def is_tied(self) -> bool:
         """Return whether a part of the request is tied to its shape: voxels or a field."""
-        fields = any(isinstance(value, np.ndarray) for value in self.target.values())
+        fields = any(is_field(name, value) for name, value in self.target.items())
         held = (self.mask, self.fixed, self.coarse)
         return fields or any(part is not None for part in held)
 
@@ -161,7 +173,8 @@ class Request:
         made = {name: recipe.to_json() for name, recipe in self.origins.items()}
         if self.target:
             plain["target"] = {
-                name: made.pop(f"target.{name}", value) for name, value in self.target.items()
+                name: made.pop(f"target.{name}", _plain(value))
+                for name, value in self.target.items()
             }
         return {**plain, **made}
 
@@ -245,6 +258,11 @@ def _check_coarse_scan(request: Request, exemplar: Image, spacing: Sequence[floa
             f"of {tuple(spacing)} {exemplar.unit} make it {wanted}: ask for the shape that agrees, "
             "or give the spacing of both"
         )
+
+
+def _plain(value: Target) -> Any:
+    """Return a number as it is, and one direction as a list."""
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def _origin(part: Image | ArrayLike | None) -> Recipe | None:
@@ -371,6 +389,27 @@ def _check_coarse(request: Request) -> None:
         raise InputError(
             "the coarse scan holds one value only, and no interface to refine: give one of both "
             "phases (of a grey scan --threshold none keeps its values)"
+        )
+
+
+def _check_like(request: Request) -> None:
+    like = request.like
+    if like is None:
+        return
+    if not isinstance(like, Image):
+        raise InputError(
+            f"like is a plain {type(like).__name__}: give an Image (tb.Image(array, kind='labels'))"
+        )
+    if like.kind != "labels" or like.ndim != 3:
+        raise InputError(
+            f"the relative is {like.kind} of shape {like.shape}: give a 3-D scan of labels "
+            "(a grey one is segmented with tb.segment)"
+        )
+    beside = sorted(request.asks_for() - {"like", "periodic"})
+    if beside:
+        raise RequestError(
+            f"like beside {', '.join(beside)}: a relative goes with shape, seed and periodic axes "
+            f"alone; leave out {beside[0]}"
         )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.checks import check_finite, check_name, quote
+from trabecula.core.directions import Directions, as_directions, list_places
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
@@ -19,8 +20,13 @@ RANGES = {
     "perimeter": (0.0, np.inf),
     "mean_curvature": (-np.inf, np.inf),
     "euler": (-np.inf, np.inf),
+    "orientation": (-np.inf, np.inf),
+    "size": (0.25, 4.0),
 }
 """Descriptors that can be targets, each with its range. Lengths of a density are voxels."""
+
+FRAME = ("orientation", "size")
+"""Targets that turn and scale the material: a direction, and a factor on its lengths."""
 
 OF_A_PHASE = "volume_fraction:"
 """Prefix of a phase's name: "volume_fraction:binder" is the share of the phase binder."""
@@ -29,7 +35,8 @@ Target = float | np.ndarray
 
 
 def as_target(given: Mapping[str, Any], shape: tuple[int, ...]) -> dict[str, Target]:
-    """Return targets by name: a float, or a float32 array of `shape`.
+    """Return targets by name: a float, or a float32 array of `shape`; of "orientation" a unit
+    vector, or an array of them with the components last.
 
     Raises
     ------
@@ -52,13 +59,49 @@ def as_target(given: Mapping[str, Any], shape: tuple[int, ...]) -> dict[str, Tar
         raise InputError(
             "the target has porosity and volume_fraction, which is 1 - porosity: give one of them"
         )
+    _check_sum(found)
     return found
+
+
+def _check_sum(found: Mapping[str, Target]) -> None:
+    """Raise where the fractions of phases are more than all there is."""
+    shares = {name: value for name, value in found.items() if name.startswith(OF_A_PHASE)}
+    solid = {name: value for name, value in shares.items() if name != f"{OF_A_PHASE}void"}
+    porosity, rest = porosity_of(found), "all there is"
+    room: Target = 1.0
+    if porosity is not None:
+        shares, room, rest = solid, 1 - porosity, "what porosity or volume_fraction leaves"
+    if not shares:
+        return
+    more = np.asarray(sum(np.asarray(value, np.float64) for value in shares.values()) - room)
+    if more.max() > 1e-5:
+        named = ", ".join(shares)
+        at = "" if not more.ndim else list_places(more > 1e-5)
+        raise InputError(
+            f"the targets contradict each other: {named} together are {more.max():.4g} more than "
+            f"{rest}{at}; lower one of them"
+        )
 
 
 def is_target(name: Any) -> bool:
     """Return whether a descriptor of this name can be a target."""
     of_a_phase = isinstance(name, str) and name.startswith(OF_A_PHASE) and name != OF_A_PHASE
     return of_a_phase or name in RANGES
+
+
+def densities_of(target: Mapping[str, Target]) -> dict[str, Target]:
+    """Return the targets without those that turn and scale the material."""
+    return {name: value for name, value in target.items() if name not in FRAME}
+
+
+def frame_of(target: Mapping[str, Target]) -> dict[str, Target]:
+    """Return the targets that turn and scale the material: "orientation" and "size"."""
+    return {name: value for name, value in target.items() if name in FRAME}
+
+
+def is_field(name: str, value: Target) -> bool:
+    """Return whether a target varies from place to place; a direction is one by its axes."""
+    return np.ndim(value) > (name == "orientation")
 
 
 def porosity_of(target: Mapping[str, Target]) -> Target | None:
@@ -74,17 +117,27 @@ def origins_of(given: Any) -> dict[str, Recipe]:
     """Return the recipes of the fields among the targets; a number needs none."""
     pairs = given.items() if isinstance(given, Mapping) else ()
     return {
-        name: _origin(value) for name, value in pairs if isinstance(value, Image) or np.ndim(value)
+        name: _origin(value)
+        for name, value in pairs
+        if isinstance(value, Image | Directions) or is_field(name, value)
     }
 
 
 def _origin(value: Any) -> Recipe:
-    if isinstance(value, Image):
+    if isinstance(value, Image | Directions):
         return value.recipe or Recipe().then("array", value.values)
     return Recipe().then("array", np.asarray(value))
 
 
 def _as_value(value: Any, shape: tuple[int, ...], *, name: str) -> Target:
+    if name == "orientation":
+        given = value.values if isinstance(value, Directions) else value
+        if isinstance(given, Image):
+            raise InputError(
+                "the target orientation is an image: give vectors (Z, Y, X, 3), or one direction, "
+                "such as tb.measure.fabric(image).directions[0]"
+            )
+        return as_directions(given, shape, name="the target orientation")
     low, high = RANGES["volume_fraction" if name.startswith(OF_A_PHASE) else name]
     if isinstance(value, Image) and value.kind != "grey":
         raise InputError(

@@ -7,8 +7,18 @@ it has the result's shape. `windowed` returns the descriptors of every window as
 
 from collections.abc import Callable
 
+from trabecula.core.directions import Directions
 from trabecula.core.image import Image
 from trabecula.fields.density import density_like
+from trabecula.fields.directions import (
+    continue_directions,
+    direction_errors,
+    direction_formula,
+    fabric_directions,
+    read_directions,
+    resample_directions,
+    smooth_directions,
+)
 from trabecula.fields.grid import formula, picture, radial, ramp
 from trabecula.fields.interpolate import fill, interpolate, resample, rescale
 from trabecula.fields.local import directions, measure, windowed
@@ -43,10 +53,15 @@ FROM_NOTHING: dict[str, Callable[..., Image]] = {
 __all__ = [
     "FROM_AN_IMAGE",
     "FROM_NOTHING",
+    "Directions",
     "PrincipalStress",
     "case",
+    "continue_directions",
     "density_like",
+    "direction_errors",
+    "direction_formula",
     "directions",
+    "fabric_directions",
     "fill",
     "formula",
     "import_result",
@@ -57,8 +72,11 @@ __all__ = [
     "principal_stress",
     "radial",
     "ramp",
+    "read_directions",
     "resample",
+    "resample_directions",
     "rescale",
     "simp",
+    "smooth_directions",
     "windowed",
 ]

@@ -27,15 +27,16 @@ from trabecula.core.progress import notify
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import sum_slabs
-from trabecula.finish.bridges import cheapest_joins, shortest_join
+from trabecula.finish.bridges import shortest_join
 from trabecula.finish.forms import as_form, form_recipe
 from trabecula.finish.labels import background_of, check_present, lift, with_step
 from trabecula.finish.periodic import (
-    joined_across,
     material_origin,
     periodic_setting,
     roll_by,
 )
+from trabecula.measure.joins import cheapest_joins
+from trabecula.measure.labelling import joined_across
 from trabecula.measure.phases import as_connectivity, as_periodic, members
 from trabecula.measure.runs import Runs, runs_of
 

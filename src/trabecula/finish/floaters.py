@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number
 from trabecula.core.image import Image, as_image
 from trabecula.finish.labels import background_of, check_present, lift, with_step
-from trabecula.finish.periodic import joined_across, periodic_setting
+from trabecula.finish.periodic import periodic_setting
+from trabecula.measure.labelling import joined_across
 from trabecula.measure.phases import as_connectivity, as_periodic, members
 from trabecula.measure.runs import runs_of
 

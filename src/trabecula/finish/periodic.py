@@ -1,43 +1,18 @@
-"""Images that continue at the opposite face: components across faces, a frame of reference that
-rolls along, and margins of periodic images.
+"""Images that continue at the opposite face: a frame of reference that rolls along, and margins of
+periodic images.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
-
-from trabecula.measure.labelling import pairs_across
-from trabecula.measure.runs import Runs, merge_labels
 
 
 def periodic_setting(wraps: Sequence[bool]) -> list[bool] | bool:
     """Return `wraps` as a recipe's step records it: False where no axis is periodic."""
     return [bool(wrap) for wrap in wraps] if any(wraps) else False
-
-
-def joined_across(runs: Runs, connectivity: int, wraps: Sequence[bool]) -> Runs:
-    """Return the runs with the components joined that meet across periodic faces.
-
-    `wraps` has three values, `connectivity` is that of the runs.
-    """
-    found = [np.empty((0, 2), np.int64)]
-    for axis in np.flatnonzero(wraps):
-        faces = []
-        for first in (runs.shape[axis] - 1, 0):
-            box = [(0, side) for side in runs.shape]
-            box[axis] = (first, first + 1)
-            faces.append(runs.labels(tuple(box)).squeeze(axis))
-        lateral = [wrap for other, wrap in enumerate(wraps) if other != axis]
-        found.append(pairs_across(faces[0], faces[1], connectivity, lateral))
-    pairs = np.concatenate(found)
-    if not len(pairs):
-        return runs
-    number, sizes = merge_labels(runs.sizes, pairs)
-    return replace(runs, label=number[runs.label - 1], sizes=sizes)
 
 
 def material_origin(values: np.ndarray, wraps: Sequence[bool]) -> tuple[int, ...]:

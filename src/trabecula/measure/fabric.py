@@ -88,7 +88,7 @@ def fabric(image: Image | ArrayLike, *, phase: str | int | None = None) -> Fabri
         raise InputError(
             "the image holds no interface: one phase fills it; choose another image or phase"
         )
-    towards = _spread(image.ndim)
+    towards = spread_directions(_DIRECTIONS, image.ndim)
     crossings = np.abs(towards @ areas.T).sum(axis=1) / volume
     return _ellipsoid(towards, crossings)
 
@@ -140,15 +140,15 @@ def _normals(inside: np.ndarray, edges: tuple[float, ...]) -> tuple[np.ndarray, 
     return sums.sum(axis=0) * cell, count * cell
 
 
-def _spread(ndim: int) -> np.ndarray:
-    """Return directions spread evenly over half a circle, or half a sphere (a Fibonacci
-    lattice).
+def spread_directions(count: int, ndim: int = 3) -> np.ndarray:
+    """Return directions (count, ndim) spread evenly over half a circle, or half a sphere (a
+    Fibonacci lattice).
     """
-    turn = np.arange(_DIRECTIONS) + 0.5
+    turn = np.arange(count) + 0.5
     if ndim == 2:
-        half = np.pi * turn / _DIRECTIONS
+        half = np.pi * turn / count
         return np.stack([np.sin(half), np.cos(half)], axis=1)
-    height = turn / _DIRECTIONS
+    height = turn / count
     angle = np.pi * (1 + 5**0.5) * turn
     around = np.sqrt(1 - height**2)
     return np.stack([height, around * np.sin(angle), around * np.cos(angle)], axis=1)

@@ -7,13 +7,14 @@ axis is periodic, labels that meet across its faces are joined afterwards.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.measure.phases import as_connectivity, as_inside, as_periodic
-from trabecula.measure.runs import INSIDE, merge_labels, runs_of
+from trabecula.measure.runs import INSIDE, Runs, merge_labels, runs_of
 
 
 def label_components(
@@ -99,3 +100,24 @@ def pairs_across(
             found.append(np.unique(far[both].astype(np.int64) << 32 | beside[both]))
     pairs = np.concatenate(found)
     return np.stack([pairs >> 32, pairs & 0xFFFFFFFF], axis=1)
+
+
+def joined_across(runs: Runs, connectivity: int, wraps: Sequence[bool]) -> Runs:
+    """Return the runs with the components joined that meet across periodic faces.
+
+    `wraps` has three values, `connectivity` is that of the runs.
+    """
+    found = [np.empty((0, 2), np.int64)]
+    for axis in np.flatnonzero(wraps):
+        faces = []
+        for first in (runs.shape[axis] - 1, 0):
+            box = [(0, side) for side in runs.shape]
+            box[axis] = (first, first + 1)
+            faces.append(runs.labels(tuple(box)).squeeze(axis))
+        lateral = [wrap for other, wrap in enumerate(wraps) if other != axis]
+        found.append(pairs_across(faces[0], faces[1], connectivity, lateral))
+    pairs = np.concatenate(found)
+    if not len(pairs):
+        return runs
+    number, sizes = merge_labels(runs.sizes, pairs)
+    return replace(runs, label=number[runs.label - 1], sizes=sizes)

@@ -55,9 +55,9 @@ def write_page(
     names = [f"exemplar{number}" for number in numbers] + results
     shown = [*exemplars, *(_in_memory(image) for image in images)]
     title = "Slices through the middle" if images[0].ndim == 3 else "Images"
-    pictures = [(title, _png(montage(shown, names)))]
+    pictures = [(title, png_bytes(montage(shown, names)))]
     pictures += [
-        (name, _png(render(image, size=(1200, 900))))
+        (name, png_bytes(render(image, size=(1200, 900))))
         for name, image in zip(names, shown, strict=True)
         if image.ndim == 3 and image.kind == "labels"
     ]
@@ -74,7 +74,7 @@ def _source_maps(exemplar: Image, images: Mapping[str, Image]) -> list[tuple[str
         return []
     drawn["one half of the exemplar, searched in the other"] = own_source_map(exemplar)
     return [
-        (f"{name}: a patch has {found.patch:.0f} voxels in the mean", _png(found.picture))
+        (f"{name}: a patch has {found.patch:.0f} voxels in the mean", png_bytes(found.picture))
         for name, found in drawn.items()
         if found is not None
     ]
@@ -104,7 +104,7 @@ def write_ensemble_page(
         [certificate.names[n] for n in places],
     ]
     pictures = [
-        (title, _png(montage(images, called)))
+        (title, png_bytes(montage(images, called)))
         for (title, images), called in zip(drawn.items(), names, strict=True)
         if images
     ]
@@ -117,7 +117,8 @@ def _in_memory(image: Image | Slabs) -> Image:
     return image
 
 
-def _png(picture: Image) -> bytes:
+def png_bytes(picture: Image) -> bytes:
+    """Return a picture as the bytes of a PNG file."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "picture.png"
         files.write(picture, path)

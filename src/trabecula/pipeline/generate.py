@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from trabecula.core import progress
 from trabecula.core.errors import FileError, NotReproducedError
 from trabecula.core.image import describe_fields, outline
-from trabecula.core.progress import notify
 from trabecula.core.recipe import Recipe, versions
 from trabecula.core.request import Request
 from trabecula.engine import checkpoint
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from trabecula.engine.cluster import Cluster, Workers
 
 _ITS_OWN = ("sha256", "versions", "report")  # of a step: no part of the request
+_MAKING = 0.95  # of the time of a run: the rest is writing
 _SCRATCH = "scratch"  # field of an unfinished store: the folder of its scratch files
 
 
@@ -134,7 +135,7 @@ def generate_to(
                 scratch=None if scratch is None else Path(scratch),
             )
     if scratch is not None:
-        notify("no scratch files are needed: it is made in memory")
+        progress.notify("no scratch files are needed: it is made in memory")
     return _write_in_memory(model, request, path, memory)
 
 
@@ -156,7 +157,8 @@ def _write_in_memory(
     if isinstance(target, Remote):
         target.check_free()
     with checkpoint.kept_at(None if isinstance(target, Remote) else partial_path(path)):
-        material = model.generate(request, memory=memory)
+        with progress.part(0, _MAKING):
+            material = model.generate(request, memory=memory)
         files.write(material, path)
     return Result(target, material.shape, repr(material), material.recipe)
 
@@ -200,7 +202,13 @@ def _write_out_of_core(
         report = volume.report if stored_report is None else stored_report
         return model.recipe(request, sha256, report)
 
-    result = _stream(run, volume.box, recipe, unfinished_fields={_SCRATCH: os.fspath(folder)})
+    span = progress.current_span()
+
+    def box_of(box: Box) -> np.ndarray:
+        with progress.part(0, _MAKING, of=span):  # the first box takes the making of all
+            return volume.box(box)
+
+    result = _stream(run, box_of, recipe, unfinished_fields={_SCRATCH: os.fspath(folder)})
     volume.remove()
     return result
 
@@ -347,7 +355,7 @@ def _is_finished(target: Location) -> bool:
 def _describe_result(target: Location) -> Result:
     """Describe what a finished run made, and say so."""
     result = _read_result(target)
-    notify(f"{target.name} is finished: there is nothing to resume")
+    progress.notify(f"{target.name} is finished: there is nothing to resume")
     return result
 
 

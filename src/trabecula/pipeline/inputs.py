@@ -13,6 +13,7 @@ from trabecula.core.image import Image, declare_fields, default_phases
 from trabecula.core.progress import listen, notify
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.exemplar.crop import crop as cut_box
+from trabecula.exemplar.fetch import fetch
 from trabecula.exemplar.margins import crop_margins, find_margins
 from trabecula.exemplar.place import as_slab, block, place
 from trabecula.exemplar.samples import sample
@@ -26,6 +27,7 @@ from trabecula.mesh.formats import READABLE as SURFACES
 from trabecula.mesh.voxels import fit_mesh, scale_mesh, voxelise
 
 SAMPLE_PREFIX = "sample:"
+DATA_PREFIX = "data:"
 
 
 def load(
@@ -35,7 +37,8 @@ def load(
     threshold: float | Sequence[float] | str | None = None,
     **reading: Any,
 ) -> Image:
-    """Load an image from a file or from `sample:NAME`, and segment and crop it.
+    """Load an image from a file, from `sample:NAME` or `data:NAME` (see `fetch`), and segment and
+    crop it.
 
     Parameters
     ----------
@@ -53,16 +56,19 @@ def load(
     Raises
     ------
     InputError
-        A threshold for an image that is not grey; a spacing, unit or phases for a sample.
+        A threshold for an image that is not grey; a spacing, unit or phases for a sample or a data
+        set.
     FileError, UnknownNameError
         As `read`.
     """
     name = as_path_text(source)
     phases = reading.pop("phases", None)
+    if name.startswith((SAMPLE_PREFIX, DATA_PREFIX)) and (reading or phases):
+        raise InputError(f"{name} comes with its spacing, unit and phases: give none")
     if name.startswith(SAMPLE_PREFIX):
-        if reading or phases:
-            raise InputError(f"{name} comes with its spacing, unit and phases: give none")
         image = sample(name.removeprefix(SAMPLE_PREFIX))
+    elif name.startswith(DATA_PREFIX):
+        image = fetch(name.removeprefix(DATA_PREFIX))
     else:
         image = (
             files.read(name, **reading)
@@ -322,6 +328,22 @@ def load_coarse(source: str | os.PathLike[str], exemplar: Image) -> Image:
         As `load`.
     """
     scan = load(source, threshold="none")
+    new = _find_unstated(scan, exemplar, None) if scan.kind == "labels" else {}
+    return declare_fields(scan, phases=new["phases"]) if "phases" in new else scan
+
+
+def load_relative(source: str | os.PathLike[str], exemplar: Image) -> Image:
+    """Load a scan of a similar material, for `Request.like`; a grey one is segmented where the
+    exemplar has phases.
+
+    Where its file names no phases it has the exemplar's.
+
+    Raises
+    ------
+    FileError, UnknownNameError
+        As `load`.
+    """
+    scan = load(source, threshold="auto" if exemplar.kind == "labels" else "none")
     new = _find_unstated(scan, exemplar, None) if scan.kind == "labels" else {}
     return declare_fields(scan, phases=new["phases"]) if "phases" in new else scan
 

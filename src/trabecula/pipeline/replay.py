@@ -35,7 +35,7 @@ from trabecula.synth.api.serialize import load_model
 from trabecula.view.still import render
 
 AnyPath = str | os.PathLike[str]
-PARTS = ("mask", "fixed", "known", "coarse")
+PARTS = ("mask", "fixed", "known", "coarse", "like")
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,7 @@ def rerun(
     fixed: AnyPath | None = None,
     known: AnyPath | None = None,
     coarse: AnyPath | None = None,
+    like: AnyPath | None = None,
     target: AnyPath | None = None,
     model: AnyPath | None = None,
 ) -> Image:
@@ -103,7 +104,7 @@ def rerun(
     exemplar : path or sequence of path, optional
         The files that the recipe starts from, if they have moved; several in the order of the
         exemplars.
-    mask, fixed, known, coarse, target : path, optional
+    mask, fixed, known, coarse, like, target : path, optional
         The same for the other files that the request named.
     model : path or str, optional
         The trained model that the recipe names, where it is neither beside the file nor shipped
@@ -129,7 +130,7 @@ def rerun(
             f"{path} does not hold what its recipe makes: its voxels were changed since"
         )
     folder = location_of(path).folder
-    parts = {"mask": mask, "fixed": fixed, "known": known, "coarse": coarse}
+    parts = {"mask": mask, "fixed": fixed, "known": known, "coarse": coarse, "like": like}
     parts |= {"target": target, "model": model}
     return replay(image.recipe, folder=folder, exemplar=exemplar, **parts)
 
@@ -344,12 +345,25 @@ def _make_request(step: Mapping[str, Any], sources: RecipeFiles) -> Request:
         if name in request:
             request[name] = _replay_steps(Recipe.from_json(request[name]), sources.inside(name))
     request["target"] = {
-        name: _replay_steps(Recipe.from_json(value), sources.inside("target"))
-        if isinstance(value, list)
-        else value
+        name: _make_target(name, value, sources.inside("target"))
         for name, value in dict(request.get("target", {})).items()
     }
     return Request(**request)
+
+
+def _make_target(name: str, value: Any, sources: RecipeFiles) -> Any:
+    """Return a target: a number, one direction, or a field that is made again."""
+    if not isinstance(value, list) or (value and not isinstance(value[0], dict)):
+        return value
+    if name != "orientation":
+        return _replay_steps(Recipe.from_json(value), sources)
+    step = value[-1]
+    if step["verb"] == "array" and sources.replacement is None:
+        _repeat_array(None, step, sources)
+    found = fields.read_directions(sources.find(step.get("source", "")))
+    if digest(found.values) != step["sha256"]:
+        raise NotReproducedError(_explain_difference(step))
+    return found
 
 
 def _repeat_finish(image: Image | None, step: Mapping[str, Any], sources: RecipeFiles) -> Image:

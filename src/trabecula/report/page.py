@@ -400,10 +400,10 @@ def _physics(certificate: Certificate) -> str:
     )
 
 
-def gallery(pictures: Pictures) -> str:
+def gallery(pictures: Pictures, *, title: str = "Side by side") -> str:
     """Show pictures side by side, kept in the page."""
     figures = _embed(pictures)
-    return f'<h2>Side by side</h2><div class="figures">{figures}</div>' if figures else ""
+    return f'<h2>{title}</h2><div class="figures">{figures}</div>' if figures else ""
 
 
 def _source_maps(pictures: Pictures) -> str:

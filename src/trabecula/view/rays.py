@@ -109,7 +109,8 @@ def _clip_span(origin, direction, box, plane, stretch, normal):
         return start, min(stop, -height / rate)
     if -height / rate > start:
         start = -height / rate
-        normal[:] = plane[:3]
+        for axis in range(3):
+            normal[axis] = plane[axis]
     return start, stop
 
 
@@ -171,7 +172,8 @@ def _gradient(field, x, y, z, stretch, normal):
         normal[axis] = fall / stretch[axis]
     length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
     if length > 0:
-        normal /= length
+        for axis in range(3):  # and not the array: that takes Numba seconds to compile
+            normal[axis] /= length
     return length > 0
 
 
@@ -211,6 +213,7 @@ def hit(field, occupied, origin, direction, box, plane, stretch, viewer, normal)
         if t < FAR:
             x, y, z = point(origin, direction, t)
             if not _gradient(field, x, y, z, stretch, normal):
-                normal[:] = viewer
+                for k in range(3):
+                    normal[k] = viewer[k]
             return t, False
     return FAR, False

@@ -7,6 +7,7 @@ no element.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -61,6 +62,7 @@ class ElementGrid:
             raise InputError(
                 f"case {case.name!r} holds no element: give supports that meet the part"
             )
+        _check_held(part.present[..., None] & ~free, load, edges, case.name)
         return cls(stiffness, part.inside, free, load)
 
     def loaded(self, case: Case, part: PartNodes) -> list[tuple[float, ElementGrid]]:
@@ -188,3 +190,48 @@ def dot(a, b):
     for k in range(len(a)):
         total += a[k] * b[k]
     return total
+
+
+_IDLE = 1e-6  # share of the loads that no support takes up
+
+
+def _check_held(held: np.ndarray, load: np.ndarray, edges: Sequence[float], name: str) -> None:
+    """Raise where a load moves the part as a whole, since no support holds it that way.
+
+    A rigid motion is t + w x p. Those that leave every held component where it is are the kernel of
+    the sum of r r^T over held components, with r the motion's six numbers there.
+    """
+    middle = (np.array(held.shape[:3]) - 1) / 2 * edges
+    size = float(np.max(np.array(held.shape[:3]) * edges))
+    gram, forces = np.zeros((6, 6)), np.zeros(6)
+    for axis in range(3):
+        nodes = np.argwhere(held[..., axis])
+        rows = _rigid_rows((nodes * edges - middle) / size, axis)
+        gram += rows.T @ rows
+        nodes = np.argwhere(load[..., axis])
+        rows = _rigid_rows((nodes * edges - middle) / size, axis)
+        forces += load[(*nodes.T, axis)] @ rows
+    values, modes = np.linalg.eigh(gram)
+    loose = modes[:, values < 1e-9 * values[-1]]
+    motion = loose @ (loose.T @ forces)
+    if np.abs(motion).max() <= _IDLE * np.abs(forces).max():
+        return
+    which = int(np.abs(motion).argmax())
+    how = f"moving along {'zyx'[which]}" if which < 3 else f"turning about {'zyx'[which - 3]}"
+    raise InputError(
+        f"case {name!r} does not hold the part: nothing keeps its loads from {how}; give supports "
+        "farther apart, or that hold more axes"
+    )
+
+
+def _rigid_rows(places: np.ndarray, axis: int) -> np.ndarray:
+    """Return what the six rigid motions do to a component of the displacement at places (N, 3)."""
+    rows = np.zeros((len(places), 6))
+    rows[:, axis] = 1
+    for turn in range(3):
+        first, second = (turn + 1) % 3, (turn + 2) % 3
+        if axis == first:
+            rows[:, 3 + turn] = -places[:, second]
+        elif axis == second:
+            rows[:, 3 + turn] = places[:, first]
+    return rows

@@ -60,8 +60,10 @@ def part_stress(
         a solid of Young's modulus 1 and forces as the case gives them, over the area of a voxel's
         face; 0 in the void. Its recipe's step holds a `report`: `compliance` of every load case;
         `solid_compliance`, of the form filled with solid; `largest`, and the stress that 99 % of
-        the voxels stay below; `weakest`, the places (z, y, x) of the most stressed voxels, ten at
-        most, no two nearer than four; `loose`, the share of the solid that no support holds, which
+        the voxels stay below; `largest strain` and `99 % strain`, the same of the effective strain
+        sqrt(2 U / E); `weakest`, the places (z, y, x) of the most stressed voxels, ten at
+        most, no two nearer than four; `fraction`, the solid's share of the
+        form; `loose`, the share of the solid that no support holds, which
         is left out.
 
     Raises
@@ -104,7 +106,10 @@ def part_stress(
         "solid_compliance": list(bulk.compliance),
         "largest": float(size.max()),
         "99 %": float(np.quantile(size[held], 0.99)),
+        "largest strain": float(found.strain.max()),
+        "99 % strain": float(np.quantile(found.strain[held], 0.99)),
         "weakest": _weakest(size),
+        "fraction": float(np.count_nonzero(solid & form) / np.count_nonzero(form)),
         "loose": 1 - np.count_nonzero(held) / max(1, np.count_nonzero(solid)),
     }
     settings: dict[str, Any] = {"of": to_json(chosen), "phase": phase, "poisson": ratio}

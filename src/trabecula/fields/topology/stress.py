@@ -34,6 +34,9 @@ class PrincipalStress:
     the element's area, for elements of Young's modulus 1."""
     compliance: tuple[float, ...]
     """Work of the loads, of each load case."""
+    strain: np.ndarray
+    """(Z, Y, X) float32: the effective strain sqrt(2 U / E) of the strain energy density U (Pistoia
+    2002, doi:10.1016/S8756-3282(02)00736-6), the largest of all load cases."""
 
 
 def principal_stress(
@@ -107,6 +110,7 @@ def stress_of(
     """Return the principal stress of elements of given stiffness, over all load cases."""
     direction = np.zeros((*stiff.shape, 3), np.float32)
     stress = np.zeros(stiff.shape, np.float32)
+    strain = np.zeros(stiff.shape, np.float32)
     compliance = []
     to_strain = mean_strain(edges)
     for _, one in loaded:
@@ -114,25 +118,28 @@ def stress_of(
         u = solve_displacements(one, stiff, start, tolerance=_BALANCE, most=_STEPS)
         compliance.append(float((stiff * one.energy(u)).sum()))
         for z in range(len(stiff)):
-            ways, size = _principal(to_strain, material, u[z : z + 2], stiff[z])
+            ways, size, effective = _principal(to_strain, material, u[z : z + 2], stiff[z])
             larger = np.abs(size) > np.abs(stress[z])
             stress[z] = np.where(larger, size, stress[z])
             direction[z] = np.where(larger[..., None], ways, direction[z])
-    return PrincipalStress(direction, stress, tuple(compliance))
+            strain[z] = np.maximum(strain[z], effective)
+    return PrincipalStress(direction, stress, tuple(compliance), strain)
 
 
 def _principal(
     to_strain: np.ndarray, material: np.ndarray, u: np.ndarray, stiff: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return direction (Y, X, 3) and size (Y, X) of the largest principal stress of a layer of
-    elements, from the displacements of its two layers of nodes.
+    elements, and their effective strain, from the displacements of its two layers of nodes.
     """
     height, width = stiff.shape
     strain = np.zeros((height, width, 6))
     for corner, part in zip(CORNERS, to_strain.transpose(1, 0, 2), strict=True):
         z, y, x = corner
         strain += u[z, y : y + height, x : x + width] @ part.T
-    voigt = stiff[..., None] * (strain @ material)
+    bulk = strain @ material
+    effective = np.sqrt(np.maximum((strain * bulk).sum(axis=-1), 0)) * (stiff > 0)
+    voigt = stiff[..., None] * bulk
     tensor = np.zeros((height, width, 3, 3))
     for axis in range(3):  # Voigt's order is xx, yy, zz
         tensor[..., axis, axis] = voigt[..., 2 - axis]
@@ -143,4 +150,4 @@ def _principal(
     size = np.take_along_axis(values, most[..., None], axis=-1)[..., 0]
     found = np.take_along_axis(vectors, most[..., None, None], axis=-1)[..., 0]
     lead = np.take_along_axis(found, (np.abs(found) > 1e-6).argmax(axis=-1)[..., None], axis=-1)
-    return np.where(lead < 0, -found, found) * (stiff > 0)[..., None], size
+    return np.where(lead < 0, -found, found) * (stiff > 0)[..., None], size, effective

@@ -6,6 +6,7 @@ a `Method` and a `Model` in `method.py`. The checks and the memory budget are he
 
 from __future__ import annotations
 
+import math
 from abc import ABC
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -43,11 +44,14 @@ class Method(ABC):
         `alternatives(effort)` lists settings to try beside the default.
     model_type : type
         `Model` that the default `learn` builds.
+    learning_cost : float
+        Time of learning from a voxel of the exemplar over that of making one, for a progress bar.
     """
 
     capabilities: ClassVar[Capabilities]
     config_type: ClassVar[type]
     model_type: ClassVar[type[Model]]
+    learning_cost: ClassVar[float] = 0.1
 
     def __init__(self, config: Any) -> None:
         self.config = config
@@ -165,6 +169,11 @@ class Method(ABC):
             self._check_exemplars(images)
             exemplars = [_with_recipe(image) for image in images]
         return self.from_state(exemplars, state)
+
+    def learning_share(self, exemplars: Sequence[Image] | None, shape: Sequence[int]) -> float:
+        """Return the part of a run's time, 0..1, that learning takes, for a progress bar."""
+        learning = self.learning_cost * sum(one.values.size for one in exemplars or ())
+        return learning / (learning + math.prod(shape))
 
     def plan_fit(self, exemplar: Image | np.ndarray | Sequence[Image] | None = None) -> Plan:
         """Forecast the memory that learning takes, the exemplars themselves left out."""

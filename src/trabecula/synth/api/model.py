@@ -20,6 +20,7 @@ import numpy as np
 from trabecula.core.checks import as_number, as_seed
 from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image, outline
+from trabecula.core.progress import whole_run
 from trabecula.core.recipe import Recipe, versions
 from trabecula.core.request import Request, check_exemplar
 from trabecula.core.target import OF_A_PHASE
@@ -227,7 +228,7 @@ class Model(ABC):
         memory : int, optional
             Budget in bytes. Default: the memory that the machine has available.
         **parts
-            Other fields of `Request`: periodic, mask, target, fixed, coarse.
+            Other fields of `Request`: periodic, mask, target, fixed, coarse, like.
 
         Raises
         ------
@@ -242,7 +243,8 @@ class Model(ABC):
             budget=memory,
             advice=lambda limit: self._advise_smaller(request, limit),
         )
-        values, report = self.compute(request)
+        with whole_run("making"):
+            values, report = self.compute(request)
         recipe = Recipe().then("generate", values, **self._step(request, report))
         return Image(values, **self.fields(request), recipe=recipe)
 

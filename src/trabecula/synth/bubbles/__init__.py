@@ -18,6 +18,7 @@ CAPABILITIES = Capabilities(
     large="box",
     method="trabecula.synth.bubbles.method:Bubbles",
     honours=frozenset({"periodic", "mask", "target"}),
+    targets=("porosity", "volume_fraction", "orientation", "size"),
     presets=("bread", "baguette", "sponge", "cheese", "stone", "foam", "bone"),
     trial={"trials": 6},
 )

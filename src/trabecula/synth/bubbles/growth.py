@@ -38,6 +38,34 @@ def flow_step(law: Law) -> int:
     return BLOCK * max(1, int(law.apart / (8 * BLOCK)))
 
 
+@dataclass(frozen=True, eq=False)
+class SizeField:
+    """How much larger bubbles are than the smallest, by where they start.
+
+    Attributes
+    ----------
+    factors : () or (Z, Y, X) float32 array
+        1 and more.
+    """
+
+    factors: np.ndarray
+
+    def at(self, places: np.ndarray) -> np.ndarray:
+        """Return the factors at places (N, 3) in parts of a voxel; outside those of the border."""
+        if not self.factors.ndim:
+            return np.full(len(places), float(self.factors))
+        voxels = [
+            np.clip(places[:, axis] // FINE, 0, side - 1)
+            for axis, side in enumerate(self.factors.shape)
+        ]
+        return self.factors[tuple(voxels)].astype(np.float64)
+
+    def thin_out(self, factors: np.ndarray, names: np.ndarray, ndim: int) -> np.ndarray:
+        """Return which bubbles stay, (N,) bool: one in factor^ndim, chosen by their names."""
+        words = (names.astype(np.uint64) * np.uint64(_MIX) >> np.uint64(16)) & np.uint64(0xFFFFFF)
+        return np.asarray(words < np.rint(factors**-ndim * (1 << 24)))
+
+
 @dataclass(frozen=True)
 class Growth:
     """A material whose boxes can be grown alone. A picture is a box of one plane, at z = 0.
@@ -51,6 +79,7 @@ class Growth:
     shape : three int
         Of the request: where the room of the flow is known.
     flow : Flow, optional
+    sizes : SizeField, optional
     """
 
     law: Law
@@ -58,6 +87,7 @@ class Growth:
     periods: tuple[int, ...]
     shape: tuple[int, ...]
     flow: Flow | None
+    sizes: SizeField | None = None
 
     def fill(
         self, labels: np.ndarray, corner: Sequence[int], phases: tuple[int, int], level: Any
@@ -189,8 +219,15 @@ class Growth:
         places = self._relax(work, cells, near)
         brakes = work.adopt("brakes", law.brakes[sizes])
         alive = work.empty("alive")
+        chosen = None
+        if self.sizes is not None:  # larger ones are fewer, and faster
+            factors = self.sizes.at(places)
+            chosen = self.sizes.thin_out(factors, names, law.ndim)
+            brakes /= factors
         least, touch = FINE * ABSORBED * law.apart, FINE * law.wall
         absorb(alive, places, brakes, starts, cells, near, least, touch)
+        if chosen is not None:
+            alive &= chosen
         self._keep_in_room(places, alive)
         left = np.concatenate([np.zeros(1, np.int64), np.cumsum(alive)])
         work.adopt("kept starts", left[starts])
@@ -313,6 +350,7 @@ class Growth:
         for_slabs(lambda a, b: shift_nodes(shifts, a, b, *rest), len(shifts), least=1)
 
 
+_MIX = 0x9E3779B97F4A7C15  # odd, so that its multiples are spread over all words
 _SEARCH = 48  # bytes for each bubble in every thread, beside those of a block
 _FORMS = MOST * (64 + 3) * 4
 

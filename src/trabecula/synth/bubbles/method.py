@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.request import Request
-from trabecula.core.target import porosity_of
+from trabecula.core.target import densities_of, frame_of, porosity_of
 from trabecula.engine.blocks import Box, slices_of
 from trabecula.engine.memory import Array, Stage, forecast, within
 from trabecula.synth.api.exemplar_info import ExemplarInfo
@@ -24,11 +24,12 @@ from trabecula.synth.bubbles.config import BubblesConfig
 from trabecula.synth.bubbles.fit_objective import bytes_of_search
 from trabecula.synth.bubbles.flow import flow_of
 from trabecula.synth.bubbles.flow.field import bytes_of_flow
-from trabecula.synth.bubbles.growth import Growth, box_stages, expected_sizes
+from trabecula.synth.bubbles.growth import Growth, SizeField, box_stages, expected_sizes
 from trabecula.synth.bubbles.growth_law import Law, distance_of, law_of
 from trabecula.synth.bubbles.kernels import BLOCK
 from trabecula.synth.bubbles.particles import grow_request, particle_stages
 from trabecula.synth.bubbles.porosity_level import Arrivals, arrivals_of, level_stages
+from trabecula.synth.shared.frames import check_room
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _TABLES = 200_000  # bytes of tables and the recipe
@@ -90,7 +91,10 @@ class _RequestGrowth:
         alike = all(
             getattr(request, name) == getattr(own, name) for name in ("shape", "seed", "periodic")
         )
-        return alike and request.mask is own.mask
+        framed = all(
+            request.target.get(name) is own.target.get(name) for name in ("orientation", "size")
+        )
+        return alike and framed and request.mask is own.mask
 
 
 class BubblesModel(WindowModel):
@@ -149,7 +153,7 @@ class BubblesModel(WindowModel):
                 "particles stop all at once: ask for one number as the porosity, or for "
                 "growth='fronts'"
             )
-        made = grow_request(self._growth(request), self.found, request, wanted)
+        made = grow_request(self._growth(request), self._settings(request), request, wanted)
         void, solid = self._phases()
         values = np.where(made.air, np.uint8(void), np.uint8(solid))
         if request.mask is not None:
@@ -169,23 +173,48 @@ class BubblesModel(WindowModel):
         return self._last
 
     def _growth(self, request: Request) -> Growth:
-        ndim = len(request.shape)
-        law = self._law(ndim)
-        spacing, length = self._lengths(ndim)
-        flow = flow_of(self.found, request.shape, spacing, request.mask, distance=length)
+        law, settings = self._law(request), self._settings(request)
+        spacing, length = self._lengths(request)
+        flow = flow_of(settings, request.shape, spacing, request.mask, distance=length)
         periods = [
             side if wraps else 0
             for side, wraps in zip(request.shape, request.periodic, strict=True)
         ]
-        return Growth(law, request.seed, _deep(periods, 0), _deep(request.shape, 1), flow)
+        sizes = None
+        if "size" in request.target:
+            factors = np.asarray(request.target["size"], np.float32) / _least_size(request)
+            sizes = SizeField(factors.reshape(_deep(factors.shape, 1)) if factors.ndim else factors)
+        shape = _deep(request.shape, 1)
+        return Growth(law, request.seed, _deep(periods, 0), shape, flow, sizes)
 
-    def _lengths(self, ndim: int) -> tuple[tuple[float, ...], float]:
+    def _settings(self, request: Request) -> BubblesConfig:
+        """Return the settings of growth for a request: those of the smallest bubbles, which follow
+        the target's orientation where it has one.
+        """
+        given: dict[str, Any] = {}
+        least = _least_size(request)
+        if least != 1:
+            ndim = len(request.shape)
+            given["distance"] = self.found.distance * least
+            if self.found.density is not None:
+                given["density"] = self.found.density * least**-ndim
+        if "orientation" in request.target:
+            ways = np.asarray(request.target["orientation"])
+            ways = ways.reshape((1,) * 3 + (3,)) if ways.ndim == 1 else ways
+            given |= {"flow": ways, "flow_regions": (), "flow_aspect": 0.0}
+            given |= {"silhouette": 0.0}
+        return replace(self.found, **given) if given else self.found
+
+    def _lengths(self, request: Request) -> tuple[tuple[float, ...], float]:
         """Return the edges of a voxel, and the mean distance between bubbles in the same unit."""
+        ndim = len(request.shape)
         spacing = self.facts[0].spacing[-ndim:]
-        return spacing, distance_of(self.found, spacing[0], ndim) * spacing[0]
+        return spacing, distance_of(self._settings(request), spacing[0], ndim) * spacing[0]
 
-    def _law(self, ndim: int) -> Law:
-        return law_of(self.found, self.facts[0].spacing[0], ndim)
+    def _law(self, request: Request) -> Law:
+        law = law_of(self._settings(request), self.facts[0].spacing[0], len(request.shape))
+        largest = float(np.max(request.target.get("size", 1.0))) / _least_size(request)
+        return law if largest <= 1 else replace(law, reach=law.reach * largest)
 
     def _level(self, run: _RequestGrowth, request: Request, box: Box) -> Any:
         """Return T^2 at the end of growth: a number, or a field of the box."""
@@ -194,7 +223,8 @@ class BubblesModel(WindowModel):
             return np.float32(run.growth.law.latest**2)
         # A porosity found for an exemplar is that of the material, in any form cut of it; a
         # porosity from settings or target is that of the form.
-        mask = None if self.config.porosity is None and not request.target else request.mask
+        own = self.config.porosity is None and not densities_of(request.target)
+        mask = None if own else request.mask
         whole = mask is None
         if whole not in run.arrivals:
             run.arrivals[whole] = arrivals_of(run.growth, _deep(request.shape, 1), mask)
@@ -225,20 +255,39 @@ class BubblesModel(WindowModel):
 
     def _check_request(self, request: Request) -> None:
         super()._check_request(request)
-        self._law(len(request.shape))
+        if frame_of(request.target):
+            self._check_frame(request)
+        self._law(request)
+
+    def _check_frame(self, request: Request) -> None:
+        """Raise where bubbles cannot follow a direction or a size."""
+        if "orientation" in request.target:
+            if len(request.shape) != 3:
+                raise RequestError("a target orientation is for volumes: give three sides")
+            if self.found.randomness >= 1:
+                raise RequestError(
+                    "bubbles are as long along every axis with randomness=1, so that no "
+                    "orientation shows: set randomness below 1 (0.3 makes them longer)"
+                )
+        if "size" in request.target and self.found.growth == "particles":
+            raise RequestError("particles are of one size: leave size out, or set growth to fronts")
+        if len(request.shape) == 3:
+            spacing, length = self._lengths(request)
+            check_room(request.mask, length / spacing[0], what="distance between bubbles")
 
     def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
         masked = request.mask is not None
-        flows = self.found.randomness < 1 and self.found.has_direction(masked=masked)
+        settings = self._settings(request)
+        flows = settings.randomness < 1 and settings.has_direction(masked=masked)
         fixed = {
             "interpreter and kernels": _PROCESS,
             "exemplar": self._exemplar_bytes(),
             "tables": _TABLES,
         }
         if flows or masked:
-            spacing, length = self._lengths(len(shape))
+            spacing, length = self._lengths(request)
             fixed["flow"] = bytes_of_flow(
-                self.found, request.shape, spacing, masked=masked, distance=length, step=BLOCK
+                settings, request.shape, spacing, masked=masked, distance=length, step=BLOCK
             )
         return forecast(self._stages(request, shape, flows=flows), fixed).memory
 
@@ -246,7 +295,7 @@ class BubblesModel(WindowModel):
         self, request: Request, shape: tuple[int, ...], *, flows: bool
     ) -> tuple[Stage, ...]:
         """Declare the arrays of a box of a request beside its labels."""
-        law, masked = self._law(len(shape)), request.mask is not None
+        law, masked = self._law(request), request.mask is not None
         box = box_stages(law, expected_sizes(law, _deep(shape, 1), flows=flows, room=masked))
         if self.found.growth == "particles":
             return (*box, *particle_stages(shape, flows=flows))
@@ -263,6 +312,11 @@ class BubblesModel(WindowModel):
 
     def _exemplar_bytes(self) -> int:
         return sum(image.values.nbytes for image in self.exemplars)
+
+
+def _least_size(request: Request) -> float:
+    """Return the smallest factor of a target size; 1 without one."""
+    return float(np.min(request.target.get("size", 1.0)))
 
 
 def _deep(axes: Sequence[Any], first: Any) -> tuple[Any, ...]:

@@ -10,6 +10,7 @@ CAPABILITIES = Capabilities(
     method="trabecula.synth.lattice.method:Lattice",
     learns_from=("settings",),
     honours=frozenset({"periodic", "mask", "target"}),
+    targets=("porosity", "volume_fraction", "orientation", "size"),
     large="box",
     deterministic=True,
 )

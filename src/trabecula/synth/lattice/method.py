@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cache
 from itertools import product
+from typing import Any
 
 import numpy as np
 
 from trabecula.core.errors import InputError, RequestError
 from trabecula.core.expression import Expression
 from trabecula.core.request import Request
-from trabecula.core.target import porosity_of
+from trabecula.core.target import densities_of, frame_of, porosity_of
 from trabecula.engine.blocks import Box
 from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.synth.api.exemplar_info import ExemplarInfo
@@ -19,6 +20,8 @@ from trabecula.synth.api.method import Method
 from trabecula.synth.api.windows import WindowModel, field_in
 from trabecula.synth.lattice import CAPABILITIES
 from trabecula.synth.lattice.config import NAMES, STRUTS, SURFACES, LatticeConfig
+from trabecula.synth.lattice.mapping import CellMap, cell_map
+from trabecula.synth.shared.frames import check_room
 
 _LEAST, _USUAL = 4, 16  # voxels of a cell's edge
 # From the middles of the voxels, in voxels: a lattice whose mirror planes went through them would
@@ -26,6 +29,7 @@ _LEAST, _USUAL = 4, 16  # voxels of a cell's edge
 _SHIFT = (0.11, 0.23, 0.37)
 _STEPS = 2**20  # values count in whole steps, so that the rounding of sines moves no voxel
 _FRACTIONS = np.linspace(0, 1, 1025)
+_NODE_BYTES = 1200  # while a map is found
 
 
 def surface(cell: str, u: Sequence[np.ndarray]) -> np.ndarray:
@@ -89,14 +93,58 @@ class LatticeModel(WindowModel):
         axis = to + np.eye(3)[0] if to[0] > -1 else np.eye(3)[1]
         half = 2 * np.outer(axis, axis) / (axis @ axis) - np.eye(3)
         self.turn = half @ np.diag([1, -1, -1])
+        self._mapped: tuple[Request, CellMap] | None = None
 
     def _check_request(self, request: Request) -> None:
         super()._check_request(request)
+        if frame_of(request.target):
+            self._check_frame(request)
         if any(request.periodic) and (self.turn[0, 0] < 1 or self.config.coordinates):
             raise RequestError("a lattice is periodic without direction and coordinates only")
 
+    def _check_frame(self, request: Request) -> None:
+        """Raise where cells that follow a field contradict another part of the request."""
+        if any(request.periodic):
+            raise RequestError("cells that follow a field do not repeat: leave periodic out")
+        if self.config.coordinates or self.turn[0, 0] < 1:
+            raise RequestError(
+                "coordinates and direction say how cells lie, as the target orientation or size "
+                "does: give one of them"
+            )
+        least = float(np.min(request.target.get("size", 1.0))) * self.sizes.min()
+        if least < _LEAST * self.facts[0].spacing[0] * (1 - 1e-6):
+            raise RequestError(
+                f"the target size makes cells of {least / self.facts[0].spacing[0]:.3g} voxels: "
+                f"give {_LEAST} or more, or a larger cell_size"
+            )
+        check_room(request.mask, least / self.facts[0].spacing[0], what="edge of a cell")
+
+    def _map(self, request: Request) -> CellMap:
+        """Return the coordinates of cells that follow the request's field; the latest are kept."""
+        if self._mapped is None or self._mapped[0] is not request:
+            ways, size = (request.target.get(name) for name in ("orientation", "size"))
+            found = cell_map(
+                None if ways is None else np.asarray(ways),
+                size,
+                request.shape,
+                self.sizes / self.facts[0].spacing[0],
+                request.mask,
+            )
+            self._mapped = request, found
+        return self._mapped[1]
+
+    def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
+        """Return the whole volume, and what the map of a field's cells distorts."""
+        values, report = super().make(request)
+        if not frame_of(request.target):
+            return values, report
+        return values, {**report, "cells": self._map(request).report}
+
     def coordinates(self, request: Request, box: Box) -> Sequence[np.ndarray]:
         """Return the cell coordinates (z, y, x) of a box."""
+        if frame_of(request.target):
+            lines = [np.arange(*ends) + 0.5 + by for ends, by in zip(box, _SHIFT, strict=True)]
+            return self._map(request).at((lines[0], lines[1], lines[2]))
         edge, sizes = self.facts[0].spacing[0], self.sizes.copy()
         sides, axes = np.array(request.shape) * edge, [np.arange(*ends) for ends in box]
         for i in np.flatnonzero(request.periodic):
@@ -115,7 +163,10 @@ class LatticeModel(WindowModel):
     def make_box(self, request: Request, box: Box) -> np.ndarray:
         """Cut the function plane by plane."""
         cell, phase = self.config.cell, self.config.phase
-        wanted = porosity_of(request.target or {"porosity": self.config.porosity})
+        asked = porosity_of(densities_of(request.target))
+        wanted = self.config.porosity if asked is None else asked
+        if frame_of(request.target):
+            self._map(request)  # before the threads, which would each find it
         values = np.empty([stop - start for start, stop in box], np.uint8)
         field = np.broadcast_to(field_in(wanted, box), values.shape)
 
@@ -130,9 +181,15 @@ class LatticeModel(WindowModel):
 
     def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
         """Forecast the planes that are worked on, of float64."""
-        bent = bool(self.config.coordinates or self.turn[0, 0] < 1)
+        framed = bool(frame_of(request.target))
+        bent = bool(self.config.coordinates or self.turn[0, 0] < 1 or framed)
         planes = 6 + 13 * bent + 4 * (self.config.cell in STRUTS) + 2 * bool(request.target)
-        return {"planes": thread_count() * planes * 8 * shape[1] * shape[2]}
+        found = {"planes": thread_count() * planes * 8 * shape[1] * shape[2]}
+        if framed:
+            found["map"] = _NODE_BYTES * int(np.prod([min(side, 45) for side in request.shape]))
+            ways = np.asarray(request.target.get("orientation", ()))
+            found["directions"] = 7 * ways.nbytes * (ways.ndim > 1)
+        return found
 
 
 class Lattice(Method):

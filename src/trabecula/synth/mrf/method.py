@@ -20,7 +20,7 @@ import numpy as np
 
 from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
-from trabecula.core.progress import track
+from trabecula.core.progress import part_of, track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.core.target import porosity_of
@@ -49,7 +49,7 @@ from trabecula.synth.mrf.lattice import (
     torus_shape,
 )
 from trabecula.synth.mrf.picture_levels import PictureLevels, largest_feature, number_levels
-from trabecula.synth.mrf.relaxation import relaxation_stages, start_relaxation
+from trabecula.synth.mrf.relaxation import at_scale, relaxation_stages, start_relaxation
 from trabecula.synth.mrf.slice_planes import SliceView, oblique_planes, plane_across
 from trabecula.synth.mrf.statistics_feedback import PairCouplings, coupled_pairs
 from trabecula.synth.shared.content.fields import isotropic_scale
@@ -242,18 +242,21 @@ class MrfModel(PictureModel):
         strength: np.ndarray | None = None
         begin, state = self._find_checkpoint(count - 1)
         wanted = self._target_shares(porosity)
+        # sweeps times voxels, for a progress bar
+        costs = [at_scale(self.config.sweeps, n) / 8**n for n in reversed(range(count))]
         for scale in range(begin, -1, -1):
             work.enter(f"relax {scale}")
-            report, strength = self._relax(
-                lattice_at(work, request, scale),
-                None if scale == count - 1 else work[f"levels {scale + 1}"],
-                candidate_sets[scale],
-                wanted,
-                seed=request.seed,
-                scale=scale,
-                before=(report, strength),
-                state=state,
-            )
+            with part_of(costs, count - 1 - scale):
+                report, strength = self._relax(
+                    lattice_at(work, request, scale),
+                    None if scale == count - 1 else work[f"levels {scale + 1}"],
+                    candidate_sets[scale],
+                    wanted,
+                    seed=request.seed,
+                    scale=scale,
+                    before=(report, strength),
+                    state=state,
+                )
             state = None
         work.enter("values")
         self._fill_values(work.empty("values"), work["levels 0"], request)

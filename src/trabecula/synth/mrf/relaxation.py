@@ -298,15 +298,15 @@ class Relaxation:
     def _steps(self) -> list[SweepStep]:
         """List the sweeps of this scale."""
         config = self.config
-        count = _at_scale(config.sweeps, self.scale)
+        count = at_scale(config.sweeps, self.scale)
         stage = key(self.seed, f"mrf/{self.scale}/{config.relaxation}")
         if config.relaxation == "icm":
             return [SweepStep("icm", 0.0, stage, n) for n in range(count)]
         if config.relaxation == "annealing":
             heats = [1 - n / count for n in range(count)]
         else:
-            first = _at_scale(config.heat, self.scale)
-            last = _at_scale(config.final_heat, self.scale)
+            first = at_scale(config.heat, self.scale)
+            last = at_scale(config.final_heat, self.scale)
             heats = [first + (last - first) * n / max(1, count - 1) for n in range(count)]
         polish = config.setting_for("polish", self.content.sort) if self.scale == 0 else 0
         # An isotropic material has an isotropic mirror image: three views that lean one way would
@@ -328,7 +328,7 @@ class Relaxation:
     @property
     def start(self) -> float:
         """Return the temperature at which free voxels begin."""
-        return float(np.float32(_at_scale(self.config.start, self.scale)))
+        return float(np.float32(at_scale(self.config.start, self.scale)))
 
     def _temperature_fall(self) -> float:
         """Return the share by which the global temperature has fallen since the scale began
@@ -373,7 +373,7 @@ class Relaxation:
             self.couplings.update_field(self.lattice.levels, self.lattice.domain)
 
 
-def _at_scale(schedule: Sequence[T], scale: int) -> T:
+def at_scale(schedule: Sequence[T], scale: int) -> T:
     """Return the entry of a schedule for a scale."""
     return schedule[min(scale, len(schedule) - 1)]
 

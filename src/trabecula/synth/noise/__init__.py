@@ -17,5 +17,6 @@ CAPABILITIES = Capabilities(
     kinds=("labels",),
     large="box",
     method="trabecula.synth.noise.method:Noise",
-    honours=frozenset({"periodic", "mask"}),
+    honours=frozenset({"periodic", "mask", "target"}),
+    targets=("porosity", "volume_fraction", "orientation", "size"),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,6 +43,12 @@ class NoiseConfig:
     (1 + s) exp(-s) with s = sqrt(3) r/L; "matern52", (1 + s + s^2/3) exp(-s) with s = sqrt(5) r/L;
     "gaussian", exp(-(r/L)^2); "wave", sin(q)/q times exp(-(r/L)^2 / 2) with q = 2 pi r/L, even
     waves such as spinodal structures have. "auto": the exemplar's; without one "gaussian"."""
+
+    cones: tuple[float, ...] | None = None
+    """Of a Gaussian field of a named covariance: half angles, 0 .. 90 degrees, of the cones about
+    z, y and x that hold its waves, 0 for none about that axis; volumes alone. With covariance
+    "wave" they make spinodoids: (0, 30, 30) columns along z, (30, 0, 0) layers across z, (15, 15,
+    15) cubes. None: waves in all directions."""
 
     thickness: float | None = None
     """Of the walls of "voronoi" and the struts of "voronoi_edges", in the image's unit, above 0.
@@ -103,6 +109,11 @@ class NoiseConfig:
             object.__setattr__(self, "thickness", _as_positive(self.thickness, name="thickness"))
         self._check_together()
 
+    @classmethod
+    def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Complete the settings of a recipe or a model that is older than some of them."""
+        return {"cones": None, **settings}
+
     def _check_together(self) -> None:
         """Check for settings without a meaning for this kind, or against each other."""
         if self.thickness is not None and self.kind not in WALLED:
@@ -117,10 +128,27 @@ class NoiseConfig:
                 f"invert is for {', '.join(_TURNED)}: kind={self.kind!r} is the same either way, "
                 "set porosity instead"
             )
+        if self.cones is not None:
+            object.__setattr__(self, "cones", _as_cones(self.cones))
+            if self.kind != "gaussian" or self.covariance == "auto":
+                raise InputError(
+                    "cones hold the waves of a Gaussian field of a named covariance: give "
+                    "kind='gaussian' and a covariance, such as 'wave'"
+                )
         if self.covariance != "auto" and self.kind != "gaussian":
             raise InputError(
                 f"covariance is that of a Gaussian field: leave it out of kind={self.kind!r}"
             )
+
+
+def _as_cones(value: Any) -> tuple[float, ...]:
+    """Check three half angles, one of them above 0."""
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 3:
+        raise InputError(f"cones={value!r} should be three angles, about z, y and x")
+    found = tuple(float(as_number(one, name="cones", low=0, high=90)) for one in value)
+    if not any(found):
+        raise InputError("cones are 0 about every axis, which leaves no wave: open one of them")
+    return found
 
 
 def _as_porosity(value: Any) -> float | None:

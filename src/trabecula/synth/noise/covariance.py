@@ -163,8 +163,14 @@ def covariance_reach(name: str, lengths: Sequence[float], *, flat: bool) -> tupl
     )
 
 
-def covariance_filter(name: str, lengths: Sequence[float], *, flat: bool) -> Filter:
-    """Return the filter of a named covariance, for lengths in voxels.
+def covariance_filter(
+    name: str,
+    lengths: Sequence[float],
+    *,
+    flat: bool,
+    cones: Sequence[float] | None = None,
+) -> Filter:
+    """Return the filter of a named covariance, for lengths in voxels, of the waves in `cones`.
 
     It is found on a torus half as wide again as the filter, so that the covariance has faded where
     it meets itself: an edge there would roughen the field along the axes.
@@ -176,6 +182,8 @@ def covariance_filter(name: str, lengths: Sequence[float], *, flat: bool) -> Fil
         sum((part / length) ** 2 for part, length in zip(offsets, lengths, strict=True))
     )
     power = np.maximum(np.fft.rfftn(_NAMED[name][0](distance)).real, 0)
+    if cones is not None:
+        power = power * _in_cones(sides, cones)
     whole = np.fft.irfftn(np.sqrt(power), sides, (0, 1, 2))
     for axis, far in enumerate(reach):
         whole = np.take(whole, np.arange(-far, far + 1), axis)
@@ -184,3 +192,21 @@ def covariance_filter(name: str, lengths: Sequence[float], *, flat: bool) -> Fil
     return Filter(
         (np.rint(whole / np.sqrt((whole**2).sum()) * _PARTS) / _PARTS).astype(np.float32), 0.0
     )
+
+
+_EDGE = 8.0  # degrees over which a cone fades: a sharp one would ring
+
+
+def _in_cones(sides: Sequence[int], cones: Sequence[float]) -> np.ndarray:
+    """Return which waves lie in cones about the axes, 0 .. 1, as `rfftn` orders them (Kumar et al.
+    2020, doi:10.1038/s41524-020-0341-6, equation 3).
+    """
+    waves = np.ix_(*(np.fft.fftfreq(side) for side in sides[:2]), np.fft.rfftfreq(sides[2]))
+    length = np.sqrt(sum(wave**2 for wave in waves))
+    length[0, 0, 0] = 1.0
+    found = np.zeros(length.shape)
+    for wave, angle in zip(waves, cones, strict=True):
+        if angle > 0:
+            away = np.degrees(np.arccos(np.clip(np.abs(wave) / length, 0, 1)))
+            found = np.maximum(found, np.clip((angle + _EDGE - away) / _EDGE, 0, 1))
+    return found

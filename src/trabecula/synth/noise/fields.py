@@ -129,7 +129,9 @@ def choose_field(
             f"covariance {name!r} would reach {max(covariance_reach(name, lengths, flat=flat))}, "
             f"{MOST_REACH} at most: use larger voxels, or a shorter length"
         )
-    return GaussianField([covariance_filter(name, lengths, flat=flat)])
+    if flat and config.cones is not None:
+        raise InputError("cones are about the axes of a volume: leave them out of a picture")
+    return GaussianField([covariance_filter(name, lengths, flat=flat, cones=config.cones)])
 
 
 def _edges(config: NoiseConfig, spacing: Sequence[float], *, flat: bool) -> tuple[float, ...]:

@@ -32,8 +32,10 @@ from trabecula.synth.noise.fields import (
     phases_of,
     stages_of_ranking,
 )
+from trabecula.synth.noise.turned import TurnedField, principal_axis, turned_stages, wanted_share
 from trabecula.synth.shared.gaussian.domain import domain_of, lift_box
-from trabecula.synth.shared.gaussian.field import PIECE
+from trabecula.synth.shared.gaussian.field import PIECE, GaussianField
+from trabecula.synth.shared.gaussian.filters import Filter
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _TABLES = 300_000  # bytes of the joint probability's table and what makes it
@@ -99,6 +101,7 @@ class NoiseModel(WindowModel):
             else []
         )
         self._fields: dict[bool, Field] = {}
+        self._turned: tuple[Request, TurnedField] | None = None
         two = isinstance(config.length, tuple) and len(config.length) == 2
         # so that impossible settings raise before any request
         self._field(two or self.facts[0].ndim == 2)
@@ -110,6 +113,8 @@ class NoiseModel(WindowModel):
         return self._fields[flat]
 
     def make_box(self, request: Request, box: Box) -> np.ndarray:
+        if request.target:
+            return self._make_turned(request, box)
         domain, field, last = domain_of(request), self._field(len(box) == 2), self.phases.labels[-1]
         box = lift_box(box)
         result = np.full([stop - start for start, stop in box], last, np.uint8)
@@ -132,16 +137,64 @@ class NoiseModel(WindowModel):
             field.each(i, domain, box, cut, most=level)
         return result[0] if domain.flat else result
 
+    def _make_turned(self, request: Request, box: Box) -> np.ndarray:
+        """Return a box of material that is turned, scaled and as dense as its target says."""
+        if self._turned is None or self._turned[0] is not request:
+            self._turned = request, TurnedField(self._filter(), request)
+        first, last = self.phases.labels
+        void_first = first == self._void()
+        share = wanted_share(request, box, self._porosity(), void_first=void_first)
+        high = self._turned[1].cut(request, box, share, exact=self.config.exact)
+        return np.where(high, np.uint8(first), np.uint8(last))
+
+    def _filter(self) -> Filter:
+        """Return the filter of the one field of void and solid."""
+        field = self._field(False)
+        assert isinstance(field, GaussianField)  # checked with the request
+        return field.filters[0]
+
+    def _void(self) -> int:
+        phases = self.facts[0].phases
+        return phases.index("void") if "void" in phases else self.phases.labels[0]
+
+    def _porosity(self) -> float:
+        """Return the fraction of the void where the target has none."""
+        return dict(zip(self.phases.labels, self.phases.fractions, strict=True))[self._void()]
+
+    def _check_request(self, request: Request) -> None:
+        super()._check_request(request)
+        if not request.target:
+            return
+        if self.config.kind != "gaussian" or len(self.phases.labels) != 2:
+            what = "several phases" if len(self.phases.labels) > 2 else f"kind={self.config.kind!r}"
+            raise RequestError(
+                f"a target is honoured by Gaussian fields of two phases, this is {what}: change "
+                "that, or leave the target out"
+            )
+        if len(request.shape) != 3:
+            raise RequestError("a target of noise is for volumes: give three sides")
+        turned_stages(self._filter(), request, (1, 1, 1))  # refuses what reaches too far
+        if "orientation" in request.target:
+            principal_axis(self._filter())
+
+    def _check_target(self, request: Request) -> None:
+        """Accept any porosity: the level is known for all."""
+
     def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
         if not self.config.exact:
             return super().make(request)
+        if request.target:
+            values = self._make_turned(request, tuple((0, side) for side in request.shape))
+            if request.mask is not None:
+                values[~request.mask] = self._void()
+            return values, {}
         void = self.facts[0].phases.index("void") if "void" in self.facts[0].phases else 0
         return label_by_rank(
             request, self._field(len(request.shape) == 2), self.phases, outside=void
         ), {}
 
     def memory(self, request: Request) -> Mapping[str, int]:
-        if not self.config.exact:
+        if not self.config.exact or request.target:
             return super().memory(request)
         field, shape = self._field(len(request.shape) == 2), domain_of(request).shape
         return forecast(stages_of_ranking(field, shape), self._constant_bytes()).memory
@@ -154,6 +207,9 @@ class NoiseModel(WindowModel):
             )
 
     def box_memory(self, request: Request, shape: tuple[int, ...]) -> Mapping[str, int]:
+        if request.target:
+            stages = turned_stages(self._filter(), request, shape)
+            return forecast(stages, self._constant_bytes()).memory
         field = self._field(len(shape) == 2)
         stages = field.stages((1,) * (3 - len(shape)) + tuple(shape))
         return forecast(stages, self._constant_bytes()).memory

@@ -83,11 +83,16 @@ def _slide(lines, along_first, width, wraps, start, stop):
     kept, total = np.empty((side, across), np.int32), np.empty(across, np.int32)
     for n in range(start, stop):
         total[:] = 0
+        # loops and no sums of arrays: those take Numba seconds to compile
         for k in range(side):
-            kept[k] = _row(lines, along_first, n, k)
+            row = _row(lines, along_first, n, k)
+            for x in range(across):
+                kept[k, x] = row[x]
         for k in range(-before, after):
             if wraps or 0 <= k < side:
-                total += kept[k % side]
+                beside = kept[k % side]
+                for x in range(across):
+                    total[x] += beside[x]
         for k in range(side):
             row = _row(lines, along_first, n, k)
             low, high = k - before, k + after
@@ -112,7 +117,8 @@ def _slide_last(lines, width, wraps, start, stop):
     for n in range(start, stop):
         for m in range(lines.shape[1]):
             row = lines[n, m]
-            line[:] = row
+            for k in range(side):
+                line[k] = row[k]
             total = np.int32(0)
             for k in range(-before, after):
                 total += line[k % side] if wraps else (line[k] if 0 <= k < side else 0)

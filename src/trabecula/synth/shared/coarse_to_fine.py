@@ -18,7 +18,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from trabecula.core.progress import track
+from trabecula.core.progress import part_of, track
 from trabecula.core.request import Request
 from trabecula.engine.checkpoint import Checkpoint, due, offer, resume
 from trabecula.engine.memory import Stage, Workspace
@@ -69,8 +69,10 @@ class CoarseToFine(ABC, Generic[StageT]):
     def run(self) -> None:
         """Go through all stages, or through those that an interrupted run left."""
         first, checkpoint = find_checkpoint(self.names)
-        for place in range(first, len(self.names)):
-            self._run_stage(place, checkpoint)
+        costs = self.costs
+        for place in range(first, len(costs)):
+            with part_of(costs, place):
+                self._run_stage(place, checkpoint)
             checkpoint = None
 
     def _run_stage(self, place: int, checkpoint: Checkpoint | None) -> None:
@@ -103,6 +105,11 @@ class CoarseToFine(ABC, Generic[StageT]):
     @abstractmethod
     def names(self) -> Sequence[str]:
         """List the names of the stages, coarsest first."""
+
+    @property
+    @abstractmethod
+    def costs(self) -> Sequence[float]:
+        """List how long the stages take, in any unit: rounds times voxels, for a progress bar."""
 
     @abstractmethod
     def open_stage(self, place: int) -> StageT:

@@ -79,6 +79,13 @@ class SlicedRounds(ViewRounds[Any]):
         return ["layout", *(f"level {index}" for index in range(self.first, -1, -1))]
 
     @property
+    def costs(self) -> list[float]:
+        """List rounds times voxels of the layout and of the levels."""
+        levels = range(self.first, -1, -1)
+        rounds = [at_level(self.config.rounds, index) / 8**index for index in levels]
+        return [self.config.layout_rounds / 8**self.top, *rounds]
+
+    @property
     def robustness(self) -> float:
         """Return the exponent of the distances that are minimised."""
         return self.config.robustness

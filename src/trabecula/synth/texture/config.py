@@ -44,6 +44,17 @@ class TextureConfig:
     "coarse": on the coarsest level, without these, as recipes and models have it that do not name
     it."""
 
+    scan_phases: str = "told"
+    """What new grey values and colours are painted on. "told": on two phases, or on three where the
+    scan's gradients tell so many, with levels that know thin bodies from thick ones. "two": on two,
+    split by Otsu's threshold, as recipes and models have it that do not name it."""
+
+    schedule: str = "short"
+    """What new material with the layout "structure" spends. "short": each step on the two-point
+    function goes in one direction, on the torus, and there are fewer sliced rounds, sweeps and
+    tries. "long": in as many directions as there are bands of distances, as recipes and models have
+    it that do not name it."""
+
     first_rounds: int = 20
     """Rounds of search and vote on the coarsest level, which starts from random patches, 1 .. 100
     (section 5.1: up to 30).
@@ -51,6 +62,17 @@ class TextureConfig:
 
     rounds: tuple[int, ...] = (4, 6, 8, 12)
     """Rounds on the other levels, finest first, each 1 .. 100; the last counts for the rest."""
+
+    grading: str = "feedback"
+    """How a target that holds around every place is met (`graded`). "feedback": the search is led
+    towards denser or sparser places of the exemplar by what is missing, and interfaces of the last
+    result are moved by two voxels at most. "shift": by shifts of the field alone, as in recipes and
+    models that do not name it."""
+
+    connected: str = "auto"
+    """Whether the solid becomes one component where a target holds around every place: "solid", or
+    "none". "auto": where nine tenths of the exemplar's solid are one. Recipes and models that do
+    not name it: "none"."""
 
     clip: float = 4.2
     """Signed distance at which the field saturates, voxels, 2 .. 20. Longer reach feels wider
@@ -175,6 +197,11 @@ class TextureConfig:
         return (_NOVELTY if applies else 0.0) if self.novelty is None else self.novelty
 
     @property
+    def short(self) -> bool:
+        """Return whether new material spends little."""
+        return self.schedule == "short" and self.layout == "structure"
+
+    @property
     def energetic(self) -> bool:
         """Return whether rounds follow the energy of equation (1) rather than the plain vote."""
         return self.gradient > 0 or self.adaptive or self.tolerance > 0
@@ -182,7 +209,9 @@ class TextureConfig:
     @classmethod
     def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Complete the settings of a recipe or a model that is older than some of them."""
-        return {"layout": "coarse", "iso_value": "middle", "step_share": 0.5, **settings}
+        before = {"layout": "coarse", "schedule": "long", "iso_value": "middle", "step_share": 0.5}
+        later = {"grading": "shift", "connected": "none", "scan_phases": "two"}
+        return {**before, **later, **settings}
 
     @classmethod
     def alternatives(cls, effort: int) -> tuple[dict[str, Any], ...]:
@@ -212,6 +241,10 @@ _CHOICES: dict[str, tuple[Any, ...]] = {
     "iso_value": ("middle", "fraction"),
     "search": ("coherent", "exact"),
     "layout": ("structure", "coarse"),
+    "scan_phases": ("told", "two"),
+    "grading": ("feedback", "shift"),
+    "connected": ("auto", "solid", "none"),
+    "schedule": ("short", "long"),
     "orientations": ("none", "mirrors", "upright", "all"),
 }
 

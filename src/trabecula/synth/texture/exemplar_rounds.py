@@ -17,6 +17,7 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.memory import Stage, Workspace, within
 from trabecula.synth.shared.coarse_to_fine import CoarseToFine, RoundStage, at_level, trim_schedule
+from trabecula.synth.shared.content.fields import UNIT
 from trabecula.synth.shared.matching.grid import (
     Grid,
     coherent_search,
@@ -42,10 +43,18 @@ from trabecula.synth.texture.graded import (
     FractionTarget,
     fraction_arrays,
     guide_grid,
+    lead_grid,
+    lead_guide,
     settle_fractions,
     settle_stages,
     shift_stages,
 )
+from trabecula.synth.texture.joined import Struts, join_components, join_stages
+from trabecula.synth.texture.local_offset import LocalOffset
+
+_FARTHEST = 45.0 * UNIT  # votes by which a field is shifted at most: one and a half voxels
+
+_JOINED = 3  # rounds at the end of a level after which components are joined
 
 # a coarsest level at less than this scale is too large for neighbourhoods at every voxel
 _SPARSE_BELOW = 4
@@ -106,7 +115,7 @@ def grid_stages(
     )
     shape, (sites,) = level.covered.shape, level.grids
     if request.target:
-        level = replace(level, guides=1, held=fraction_arrays(shape, sites))
+        level = replace(level, guides=1, held=fraction_arrays(shape, sites, config.grading))
     if target is not None:
         level = replace(level, correction=step_stages(shape, target, region.wraps))
     rest, base = level.rest, {**level.base, **level.votes}
@@ -116,8 +125,11 @@ def grid_stages(
         reach = grid_reach(sites, box=box, steps=steps)
         stages += within(rest, energy_stages(candidates.stack.field, shape, sites, reach))
     if request.target:
-        stages += within({**rest, "shifted": rest["field"]}, shift_stages(shape))
-        stages += within(base, settle_stages(shape))
+        if config.grading == "shift":
+            stages += within({**rest, "shifted": rest["field"]}, shift_stages(shape))
+            stages += within(base, settle_stages(shape))
+        if config.connected != "none":
+            stages += within(rest, join_stages(shape))
     return tuple(stages)
 
 
@@ -138,7 +150,11 @@ class GridStage(RoundStage):
     steps : int
         Towards the target after every round.
     fractions : FractionTarget, optional
-        The volume fraction that is required around every voxel.
+        The volume fraction that is required around every voxel, where the field is shifted to it.
+    local : LocalOffset, optional
+        The same, where it is fed back to the search.
+    struts : Struts, optional
+        The solid becomes one component after every vote.
     last : bool
         Whether no stage follows.
     """
@@ -151,6 +167,8 @@ class GridStage(RoundStage):
     target: Correlations | None
     steps: int
     fractions: FractionTarget | None
+    local: LocalOffset | None
+    struts: Struts | None
     last: bool
 
 
@@ -169,6 +187,8 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         One a level, where `corrections` of the config step towards them.
     fractions : list of (Z, Y, X) float32
         One a level, where the request has a target (`graded`).
+    struts : sequence of Struts or None
+        One a level of the exemplar, where the solid is to be one component.
 
     Attributes
     ----------
@@ -190,12 +210,13 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         distances: bool,
         targets: Sequence[Correlations],
         fractions: list[np.ndarray],
+        struts: Sequence[Struts | None] = (),
     ) -> None:
         self.levels, self.regions = levels, regions
         self.request, self.config = request, config
         self.distances = distances
         self.targets, self.fractions = targets, fractions
-        self.graded = bool(fractions)
+        self.graded, self.struts = bool(fractions), struts
         self.debt: np.ndarray | None = None
         self.balance: Balance | None = None
         self.energies: list[dict[str, Any]] = []
@@ -215,6 +236,16 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         """List the names of the stages, coarsest first."""
         return [f"level {index} width {number}" for index, number in self.places]
 
+    @property
+    def costs(self) -> list[float]:
+        """List rounds times voxels of the stages."""
+        return [self._rounds(index) / 8**index for index, _ in self.places]
+
+    def _rounds(self, index: int) -> int:
+        """Return the rounds on a level."""
+        coarsest = index == len(self.levels) - 1
+        return self.config.first_rounds if coarsest else at_level(self.config.rounds, index)
+
     def open_stage(self, place: int) -> GridStage:
         """Prepare the grid of a stage."""
         index, number = self.places[place]
@@ -222,12 +253,15 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         candidates, coarsest = self.levels[index][number], index == used - 1
         if coarsest and 2**index >= _SPARSE_BELOW and config.step:
             candidates = replace(candidates, step=1)
-        grid, fractions = Grid.over(self.regions[index], candidates), None
-        if self.graded:
+        grid = Grid.over(self.regions[index], candidates)
+        fractions, local = None, None
+        if self.graded and config.grading == "feedback":
+            grid, local = lead_grid(grid, self.fractions[index], index)
+        elif self.graded:
             grid, fractions = guide_grid(grid, self.fractions[index], index)
         needed = index + (number < len(self.levels[index]) - 1)
         del self.regions[needed:], self.fractions[needed:]
-        rounds = config.first_rounds if coarsest else at_level(config.rounds, index)
+        rounds = self._rounds(index)
         grain = not self.distances and config.field != "indicator" and not config.energetic
         trims = trim_schedule(
             rounds, config.trim, width=candidates.basis.width, step=candidates.step, grain=grain
@@ -245,6 +279,8 @@ class ExemplarRounds(CoarseToFine[GridStage]):
             target,
             at_level(config.corrections, index),
             fractions,
+            local,
+            self.struts[index] if self.struts else None,
             place == len(self.places) - 1,
         )
 
@@ -265,7 +301,7 @@ class ExemplarRounds(CoarseToFine[GridStage]):
             work.adopt("match0", random_matches(grid, stage.stage))
             work.adopt("weight0", equal_weights(grid.active))
             self._cast(grid, trim=0)
-            self._use_votes(stage, histogram=True, last=False)
+            self._use_votes(stage, 0, histogram=True, last=False)
             return
         finer, region = stage.number == 0, grid.region
         fitted = (
@@ -327,7 +363,9 @@ class ExemplarRounds(CoarseToFine[GridStage]):
             last = self._cast_by_energy(stage.grid, trim) or last
         else:
             self._cast(stage.grid, trim)
-        self._use_votes(stage, histogram=self.config.histogram, last=last and stage.target is None)
+        self._use_votes(
+            stage, number, histogram=self.config.histogram, last=last and stage.target is None
+        )
 
     def _cast(self, grid: Grid, trim: int) -> None:
         """Cast the votes of the weighed matches."""
@@ -349,7 +387,7 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         self.join_votes(grid.region)
         return self.balance.feedback.is_over
 
-    def _use_votes(self, stage: GridStage, *, histogram: bool, last: bool) -> None:
+    def _use_votes(self, stage: GridStage, number: int, *, histogram: bool, last: bool) -> None:
         """Make the votes a field with the histogram, or with the volume fractions that are
         required; keep the very last ones.
         """
@@ -362,6 +400,15 @@ class ExemplarRounds(CoarseToFine[GridStage]):
             work.adopt("shifted", stage.fractions.shift_field(work["field"]))
             work.release("field")
             work.adopt("field", region.clip_to_bounds(work.take("shifted")))
+        if stage.local is not None:
+            # what the votes miss by themselves, so that the next ones have it
+            stage.local.integrate(work["field"][0], low=-_FARTHEST, high=_FARTHEST)
+            stage.local.add_to(work["field"][0])
+            region.clip_to_bounds(work["field"])
+            lead_guide(stage.grid, stage.local)
+        if stage.struts is not None and stage.rounds - number <= _JOINED:
+            work.enter("join components")
+            join_components(work["field"], region, stage.struts)
         work.enter("rest")
 
     def correct(self, stage: GridStage, number: int) -> None:
@@ -378,7 +425,7 @@ class ExemplarRounds(CoarseToFine[GridStage]):
             work.enter("match")
             work.adopt("votes", two_point_step(work["field"], target, debt=self.debt, **settings))
             work.release("field")
-            self._use_votes(stage, histogram=True, last=last and step == stage.steps - 1)
+            self._use_votes(stage, number, histogram=True, last=last and step == stage.steps - 1)
 
     def leave(self, stage: GridStage) -> None:
         """Report the energies; at the end settle the volume fractions."""
@@ -402,6 +449,8 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         words = json.dumps([self.energies, asdict(self.balance)]).encode()
         arrays = {"match": self.work["match0"], "field": self.work["field"]}
         arrays["words"] = np.frombuffer(words, np.uint8)
+        if stage.local is not None and stage.grid.guide is not None:
+            arrays |= {"guide": stage.grid.guide, **stage.local.arrays()}
         return arrays if self.debt is None else {**arrays, "debt": self.debt}
 
     def restore(self, stage: GridStage, arrays: dict[str, np.ndarray]) -> None:
@@ -412,6 +461,9 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         self.work.adopt("match0", arrays["match"])
         self.work.adopt("field", arrays["field"])
         self.debt = arrays.get("debt")
+        if stage.local is not None and stage.grid.guide is not None:
+            np.copyto(stage.grid.guide, arrays["guide"])
+            stage.local.restore(arrays)
 
 
 def make_from_patches(rounds: ExemplarRounds) -> tuple[np.ndarray, list[dict[str, Any]]]:

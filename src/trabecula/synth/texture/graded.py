@@ -34,6 +34,7 @@ from trabecula.synth.shared.matching.grid import Grid, append_guide
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.pyramid import halve
+from trabecula.synth.texture.local_offset import PARTS, LocalOffset
 
 BEYOND = 0.5
 """Reach of the shift outside the exemplar's own porosities, with struts that still look like it:
@@ -41,6 +42,9 @@ of the way to 0 and to 1."""
 
 # voxels a side of a window: on the finest level, and on any at least
 _WINDOW, _LEAST = 24, 6
+_LOCAL = 20  # of the windows whose fraction is fed back, on the finest level
+_LEAD = 0.5  # of what is missing around a place, by which its guide moves after a vote
+_FARTHEST = 0.25  # fraction by which a guide moves at most
 _WIDE = 64  # where the target is one number: fractions vary within as they do in the exemplar
 _UNIT = 4096  # parts of a fraction, in whole numbers
 _PULL = 16_000  # features between a fraction of 0 and one of 1
@@ -246,10 +250,15 @@ class FractionTarget:
         for_slabs(shift, len(missing))
 
 
-def fraction_arrays(shape: tuple[int, ...], sites: tuple[int, ...]) -> dict[str, Array]:
-    """Declare the arrays of a `FractionTarget` of so many voxels, and of the guide of a search."""
+def fraction_arrays(
+    shape: tuple[int, ...], sites: tuple[int, ...], grading: str
+) -> dict[str, Array]:
+    """Declare the guide of a search, and the arrays of a `FractionTarget` of so many voxels."""
+    guide = {"guide": Array((*sites, 1), np.int16, axis=-4)}
+    if grading == "feedback":
+        return guide
     sums = Array(shape, np.int32)
-    return {"wanted": sums, "counted": sums, "guide": Array((*sites, 1), np.int16, axis=-4)}
+    return {"wanted": sums, "counted": sums, **guide}
 
 
 def shift_stages(shape: tuple[int, ...]) -> tuple[Stage, ...]:
@@ -283,6 +292,44 @@ def guide_grid(grid: Grid, fractions: np.ndarray, index: int) -> tuple[Grid, Fra
     targets = tuple(Histogram.reweight(h, mean / own, (1 - mean) / (1 - own)) for h in grid.targets)
     grid = replace(grid, candidates=add_fraction_feature(grid.candidates, width))
     return replace(grid, targets=targets, guide=target.guide(grid)), target
+
+
+def lead_grid(grid: Grid, fractions: np.ndarray, index: int) -> tuple[Grid, LocalOffset]:
+    """Return a grid of level `index` whose search is guided, and the offset that meets the target
+    of its field; fractions are those of that level.
+    """
+    width = max(_LEAST, _LOCAL // 2**index)
+    local = LocalOffset.of(grid.region, fractions, width)
+    own, mean = phase_fraction(grid.candidates.stack), local.mean
+    targets = tuple(Histogram.reweight(h, mean / own, (1 - mean) / (1 - own)) for h in grid.targets)
+    grid = replace(grid, candidates=add_fraction_feature(grid.candidates, width))
+    guide = memmap.zeros((*grid.shape, 1), np.int16)
+    grid = replace(grid, targets=targets, guide=guide)
+    lead_guide(grid, local, first=True)
+    return grid, local
+
+
+def lead_guide(grid: Grid, local: LocalOffset, *, first: bool = False) -> None:
+    """Move the guide of a grid by what is missing, in place: the next search is for denser
+    neighbourhoods where there is too little. The `first` guide is the target.
+    """
+    box, steps = grid.candidates.basis.box, grid.candidates.steps
+    places = [
+        (np.arange(count) * step + w // 2) % side
+        for count, step, w, side in zip(grid.shape, steps, box, grid.region.shape, strict=True)
+    ]
+    at, guide, far = local.at(places), grid.guide, round(_FARTHEST * _PULL)
+    assert guide is not None
+    own = local.wanted * _PULL // (np.maximum(local.counted, 1) * PARTS)
+    more = np.rint(local.missing * np.float32(_LEAD * _PULL)).astype(np.int64)
+
+    def work(start: int, stop: int) -> None:
+        mesh = (at[0][start:stop], *at[1:])
+        around = own[mesh]
+        asked = around if first else guide[start:stop, ..., 0] + more[mesh]
+        guide[start:stop, ..., 0] = np.clip(np.clip(asked, around - far, around + far), 0, _PULL)
+
+    for_slabs(work, len(guide))
 
 
 def add_fraction_feature(candidates: Candidates, width: int) -> Candidates:

@@ -2,18 +2,20 @@
 
 A scan is taken as the sum of two parts, both of them learnt from the exemplar:
 
-1. The expected level: a sum of Gaussians of the structure, fitted by least squares. It holds the
-   contrast, the blur, partial volume and dark or bright rims.
-2. The residual: a Gaussian random field for either phase, with the covariance that the exemplar's
+1. The expected level: a sum of Gaussians of the structure and of their products, fitted by least
+   squares. It holds the contrast, the blur, partial volume and dark or bright rims; the products
+   tell thin bodies from thick ones, and one phase's rims from another's.
+2. The residual: a Gaussian random field for every phase, with the covariance that the exemplar's
    residual has there. Channels of a colour are made of independent fields along the principal axes
    of the residual. A trial on the exemplar's own structure lowers the frequencies of which the
    result has more than the exemplar: parts 1 and 2 are not independent where interfaces are lost
    between voxels.
 
-Then the levels beside an interface are shifted, smoothly, where they lie on the wrong side of the
+Then the levels beside an interface are shifted, smoothly, where they lie on the wrong side of a
 threshold, so that the iso-surface is that of the structure. No voxel is copied. Unlike votes of
 neighbourhoods, which blur where they overlap and tear grains where they do not, this keeps the
-grain, and loses what is not Gaussian in the residual.
+grain, and loses what is not Gaussian in the residual. In the end every phase gets the histogram
+that it has in the exemplar, thus the structure is the iso-surface of the result.
 
 All of it is local: it goes by tiles, whose cut does not change a voxel.
 """
@@ -22,24 +24,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
 
 from trabecula.core.request import Request
 from trabecula.engine.memory import Array, Stage, Workspace, forecast, within
-from trabecula.exemplar.segment import otsu
 from trabecula.measure.smooth import gaussian, reach_of
 from trabecula.numerics.transforms import sums_by_offset
 from trabecula.synth.shared.content.fields import FULL, UNIT
 from trabecula.synth.shared.gaussian.domain import domain_of
 from trabecula.synth.shared.gaussian.field import GaussianField
 from trabecula.synth.shared.gaussian.filters import Filter, fading_window, filter_of
+from trabecula.synth.texture.scan_phases import NEAR, ScanPhases, luminance, weighted_sum
 
-_CLEAR = 0.65  # between-class variance over the variance; of one normal distribution it is 2 / pi
-_RARE = 0.005  # a phase of less is not learnt
-_SMOOTH = 1.0  # voxels, before a threshold: grain is no structure
 _SCALES = (0.0, 0.7, 1.4, 2.8)  # voxels, of the Gaussians of the structure
 _EDGE = 1  # the one of `_SCALES` by which the residuals of the phases pass into each other
 _RIDGE = 1e-4
@@ -49,32 +48,12 @@ _BANDS = 24  # of frequencies
 _TRIALS, _LEAST_GAIN = 2, 0.02
 _SHIFTS, _SPREAD, _HASTE = 2, 0.8, 2.0  # rounds, voxels, times the gap to the threshold
 _TILE = 64
-_LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
+_ROWS = 1 << 16  # voxels that the weights of products are fitted to, about
 
-Match = Callable[[np.ndarray], np.ndarray]
-"""Makes the fields (C, Z, Y, X) float32 of votes, with the exemplars' histograms."""
-
-
-def find_threshold(fields: Sequence[np.ndarray]) -> float | None:
-    """Return the level that splits fields (C, Z, Y, X) into two phases (Otsu); None where their
-    histogram tells no phases.
-    """
-    smooth = np.concatenate([gaussian(_luminance(field), _SMOOTH).ravel() for field in fields])
-    spread = float(smooth.var(dtype=np.float64))
-    if spread == 0:
-        return None
-    (threshold,) = otsu(smooth)
-    bright = smooth > np.float32(threshold)
-    share = float(bright.mean())
-    if not _RARE <= share <= 1 - _RARE:
-        return None
-    gap = float(smooth[bright].mean(dtype=np.float64) - smooth[~bright].mean(dtype=np.float64))
-    return threshold if share * (1 - share) * gap**2 >= _CLEAR * spread else None
-
-
-def structure_of(field: np.ndarray, threshold: float) -> np.ndarray:
-    """Return the structure (Z, Y, X) uint8 of a field (C, Z, Y, X): 1 where it is brighter."""
-    return (gaussian(_luminance(field), _SMOOTH) > np.float32(threshold)).astype(np.uint8)
+Match = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Makes the fields (C, Z, Y, X) float32 of votes and their structure, with the exemplars'
+histograms.
+"""
 
 
 @dataclass(frozen=True)
@@ -83,19 +62,20 @@ class GreyLevels:
 
     Attributes
     ----------
-    threshold : float
-        Of the iso-surface.
+    scan : ScanPhases
+        The phases that the levels are those of.
     edges : three floats
         Sides of a voxel over their geometric mean.
-    weights : (C, 1 + scales) float64
-        Of a constant and of the Gaussians of the structure in the expected level.
-    mixes : (2, C, C) float64
+    weights : (C, 1 + terms) float64
+        Of a constant, of the Gaussians of the structure, and of their products where it has them,
+        in the expected level.
+    mixes : (phases, C, C) float64
         Level of every channel for one standard deviation of each residual field, by phase.
     filters : tuple of Filter
-        Of the residual fields: all those of the dark phase, then of the bright one.
+        Of the residual fields: all those of the darkest phase, then of the next.
     """
 
-    threshold: float
+    scan: ScanPhases
     edges: tuple[float, ...]
     weights: np.ndarray
     mixes: np.ndarray
@@ -130,11 +110,11 @@ class GreyLevels:
         held = {
             "structure": Array(shape, np.uint8),
             "levels": Array((channels, *shape), np.float32),
-            "share": Array(shape, np.uint8),
+            "shares": Array((self.scan.count - 1, *shape), np.uint8),
         }
         votes = {name: held[name] for name in ("structure", "levels")}
         votes["votes"] = Array((channels, *shape), np.int16)
-        tile = 4 * (6 + 2 * channels)
+        tile = 4 * (2 + len(_SCALES) * (self.scan.count - 1) + 2 * channels)
         wide, far = self._reach(max(_SCALES)), self._shift_reach()
         return (
             Stage("expected levels", held, tile * _tile_voxels(shape, wide)),
@@ -150,57 +130,61 @@ class GreyLevels:
         return tuple(reach_of(sigma) for sigma in self._sigma(scale))
 
     def _shift_reach(self) -> tuple[int, ...]:
-        pairs = zip(self._reach(_SMOOTH), self._reach(_SPREAD), strict=True)
-        return tuple(_SHIFTS * (first + second) for first, second in pairs)
+        pairs = zip(self._reach(self.scan.smooth), self._reach(_SPREAD), strict=True)
+        around = NEAR if self.scan.count > 2 else 0
+        return tuple(_SHIFTS * (first + second) + around for first, second in pairs)
 
     def _expect(self, work: Workspace, periodic: tuple[bool, ...]) -> None:
-        """Write the expected levels, and the share of the bright phase in 1 / 255."""
-        structure, levels, share = work["structure"], work.empty("levels"), work.empty("share")
+        """Write the expected levels, and the share of every phase but the first in 1 / 255."""
+        structure, levels, shares = work["structure"], work.empty("levels"), work.empty("shares")
         for tile in _tiles(structure.shape):
             around, inner = _with_halo(structure, tile, self._reach(max(_SCALES)), periodic)
-            parts = [part[inner] for part in _gaussians(around, self.edges)]
+            parts = [part[inner] for part in _gaussians(around, self.scan.count, self.edges)]
             for channel, weights in zip(levels, self.weights, strict=True):
                 channel[tile] = _expected(weights, parts)
-            share[tile] = np.rint(np.clip(parts[_EDGE], 0, 1) * 255)
+            for share, part in zip(shares, parts[_EDGE :: len(_SCALES)], strict=True):
+                share[tile] = np.rint(np.clip(part, 0, 1) * 255)
 
     def _add_residual(self, work: Workspace, request: Request) -> None:
         """Add the residual fields, each by the share of its phase."""
         work.enter("residual")
-        levels, share = work["levels"], work["share"]
+        levels, shares = work["levels"], work["shares"]
         field, domain = GaussianField(list(self.filters)), domain_of(request)
         box = tuple((0, side) for side in request.shape)
         amounts = np.sqrt(np.arange(256, dtype=np.float32) / 255)
         for number in range(len(self.filters)):
             phase, axis = divmod(number, self.channels)
             scale = (self.mixes[phase][:, axis] / field.spread(number)).astype(np.float32)
-            amount = amounts if phase else amounts[::-1]
 
             def add(
                 piece: tuple[slice, ...],
                 z: int,
                 plane: np.ndarray,
                 scale: np.ndarray = scale,
-                amount: np.ndarray = amount,
+                phase: int = phase,
             ) -> None:
-                part = amount[share[piece][z]] * plane.astype(np.float32)
+                part = amounts[_share_of(phase, shares[:, *piece][:, z])] * plane.astype(np.float32)
                 for channel, factor in zip(levels, scale, strict=True):
                     channel[piece][z] += factor * part
 
             field.each(number, domain, box, add)
 
     def _shift(self, work: Workspace, periodic: tuple[bool, ...]) -> None:
-        """Write the votes: levels that lie on their phase's side of the threshold."""
+        """Write the votes: levels that lie on their phase's side of the thresholds."""
         structure, levels, votes = work["structure"], work["levels"], work.empty("votes")
-        level, limit = np.float32(self.threshold), FULL * UNIT
+        limit = FULL * UNIT
         for tile in _tiles(structure.shape):
-            bright = _with_halo(structure, tile, self._shift_reach(), periodic)[0] > 0
+            inside = _with_halo(structure, tile, self._shift_reach(), periodic)[0]
+            low, high = self.scan.bounds(inside)
             parts = [_with_halo(one, tile, self._shift_reach(), periodic) for one in levels]
             around, inner = np.stack([part for part, _ in parts]), parts[0][1]
             for _ in range(_SHIFTS):
-                smooth = gaussian(_luminance(around), self._sigma(_SMOOTH))
-                wrong = (smooth > level) != bright
-                gap = np.where(wrong, level - smooth, np.float32(0))
+                smooth = gaussian(luminance(around), self._sigma(self.scan.smooth))
+                gap = smooth.clip(low, high) - smooth
                 around += np.float32(_HASTE) * gaussian(gap, self._sigma(_SPREAD))
+            if not self.scan.smooth:  # every voxel for itself: to the other side, as far beyond
+                single = luminance(around)
+                around += 2 * (single.clip(low, high) - single)
             kept = around[(slice(None), *inner)]
             votes[(slice(None), *tile)] = np.clip(np.rint(kept * UNIT), -limit, limit)
 
@@ -208,37 +192,43 @@ class GreyLevels:
 def learn_levels(
     fields: Sequence[np.ndarray],
     structures: Sequence[np.ndarray],
-    threshold: float,
+    scan: ScanPhases,
     edges: tuple[float, ...],
     match: Match,
+    *,
+    products: bool = True,
 ) -> GreyLevels:
-    """Learn the levels of fields (C, Z, Y, X) float32 with their structures (Z, Y, X) uint8."""
-    weights = _fit_weights(fields, structures, edges)
+    """Learn the levels of fields (C, Z, Y, X) float32 with their structures (Z, Y, X) uint8.
+
+    Without `products` the expected level is a sum of Gaussians alone.
+    """
+    phases = scan.count
+    weights = _fit_weights(fields, structures, phases, edges, products=products)
     residuals = []
     for field, structure in zip(fields, structures, strict=True):
-        parts = _gaussians(structure, edges)
+        parts = _gaussians(structure, phases, edges)
         levels = [_expected(one, parts) for one in weights]
         residuals.append(field - np.stack(levels))
-    found = [_residual_axes(residuals, structures, phase) for phase in (0, 1)]
+    found = [_residual_axes(residuals, structures, phase) for phase in range(phases)]
     mixes, covariances = np.stack([mix for mix, _ in found]), [c for _, part in found for c in part]
 
     def levels_at(gains: np.ndarray) -> GreyLevels:
         shaped = [_shape_spectrum(covariance, gains) for covariance in covariances]
         spreads = np.sqrt([covariance[_middle(covariance)] for covariance in shaped])
-        scaled = mixes * spreads.reshape(2, 1, -1)
+        scaled = mixes * spreads.reshape(phases, 1, -1)
         filters = tuple(filter_of(covariance, corrections=0) for covariance in shaped)
-        return GreyLevels(threshold, edges, weights, scaled, filters)
+        return GreyLevels(scan, edges, weights, scaled, filters)
 
     gains: np.ndarray = np.ones(_BANDS)
-    wanted: Any = sum(_power(_luminance(field)) for field in fields)
+    wanted: Any = sum(_power(luminance(field)) for field in fields)
     pairs = list(zip(fields, residuals, strict=True))
-    expected: Any = sum(_power(_luminance(field - residual)) for field, residual in pairs)
+    expected: Any = sum(_power(luminance(field - residual)) for field, residual in pairs)
     residuals.clear()
     del pairs
     for trial in range(_TRIALS):
         trial_levels = levels_at(gains)
         made: Any = sum(
-            _power(_luminance(match(trial_levels.paint(one, Request(one.shape, seed=trial)))))
+            _power(luminance(match(trial_levels.paint(one, Request(one.shape, seed=trial)), one)))
             for one in structures
         )
         # small exemplars leave bands without a frequency
@@ -247,45 +237,74 @@ def learn_levels(
     return levels_at(gains)
 
 
-def trial_bytes(shape: tuple[int, ...], channels: int) -> int:
+def trial_bytes(shape: tuple[int, ...], channels: int, phases: int) -> int:
     """Forecast the bytes of painting an exemplar while its levels are learnt."""
     sides = tuple(2 * min(_REACH, (side - 1) // 2) + 1 for side in shape)
-    filters = (Filter(np.zeros(sides, np.float32), 0.0),) * (2 * channels)
-    weights = np.zeros((channels, len(_SCALES) + 1))
-    empty = GreyLevels(0.0, (1.0,) * 3, weights, np.zeros((2, channels, channels)), filters)
+    filters = (Filter(np.zeros(sides, np.float32), 0.0),) * (phases * channels)
+    weights, mixes = np.zeros((channels, 1)), np.zeros((phases, channels, channels))
+    scan = ScanPhases((0.0,) * (phases - 1), 1.0)
+    empty = GreyLevels(scan, (1.0,) * 3, weights, mixes, filters)
     return forecast(empty.stages(Request(shape)), {}).peak
 
 
 def _fit_weights(
-    fields: Sequence[np.ndarray], structures: Sequence[np.ndarray], edges: tuple[float, ...]
+    fields: Sequence[np.ndarray],
+    structures: Sequence[np.ndarray],
+    phases: int,
+    edges: tuple[float, ...],
+    *,
+    products: bool,
 ) -> np.ndarray:
     """Fit the expected levels by least squares, with a little ridge: the Gaussians are alike."""
-    size, channels = len(_SCALES) + 1, len(fields[0])
-    normal, right, count = np.zeros((size, size)), np.zeros((size, channels)), 0
+    single = len(_SCALES) * (phases - 1)
+    size = 1 + single + (single * (single + 1) // 2 if products else 0)
+    normal, right, count = np.zeros((size, size)), np.zeros((size, len(fields[0]))), 0
+    voxels = sum(structure.size for structure in structures)
+    stride = max(1, round((voxels / _ROWS) ** (1 / 3))) if products else 1
+    chosen = (slice(None, None, stride),) * 3
     for field, structure in zip(fields, structures, strict=True):
-        parts = [np.ones(structure.shape, np.float32), *_gaussians(structure, edges)]
-        for i, part in enumerate(parts):
+        parts = [part[chosen] for part in _gaussians(structure, phases, edges)]
+        seen = field[:, *chosen]
+        terms = [np.ones(parts[0].shape, np.float32), *parts]
+        terms += _products(parts) if products else ()
+        for i, term in enumerate(terms):
             for j in range(i + 1):
-                normal[i, j] += (part * parts[j]).sum(dtype=np.float64)
-            right[i] += (part * field).sum(axis=(1, 2, 3), dtype=np.float64)
-        count += structure.size
+                normal[i, j] += (term * terms[j]).sum(dtype=np.float64)
+            right[i] += (term * seen).sum(axis=(1, 2, 3), dtype=np.float64)
+        count += parts[0].size
     normal += np.tril(normal, -1).T
     normal[np.diag_indices(size)] += _RIDGE * normal[1, 1] * (np.arange(size) > 0)
     return np.asarray(np.linalg.solve(normal / count, right / count).T)
 
 
-def _gaussians(structure: np.ndarray, edges: tuple[float, ...]) -> list[np.ndarray]:
-    """Return the structure (Z, Y, X), smoothed on every scale."""
-    sigmas = (tuple(scale / edge for edge in edges) for scale in _SCALES)
-    return [gaussian(structure, sigma) for sigma in sigmas]
+def _gaussians(structure: np.ndarray, phases: int, edges: tuple[float, ...]) -> list[np.ndarray]:
+    """Return every phase but the first of a structure (Z, Y, X), smoothed on every scale."""
+    sigmas = [tuple(scale / edge for edge in edges) for scale in _SCALES]
+    return [gaussian(structure == phase, one) for phase in range(1, phases) for one in sigmas]
+
+
+def _products(parts: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
+    """Yield the product of every pair of parts, each with itself as well."""
+    for place, part in enumerate(parts):
+        for other in parts[: place + 1]:
+            yield part * other
 
 
 def _expected(weights: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
     """Return the expected levels of a channel, (Z, Y, X) float32."""
     levels = np.full(parts[0].shape, np.float32(weights[0]))
-    for weight, part in zip(weights[1:], parts, strict=True):
-        levels += np.float32(weight) * part
+    for weight, term in zip(weights[1:], chain(parts, _products(parts)), strict=False):
+        levels += np.float32(weight) * term
     return levels
+
+
+def _share_of(phase: int, shares: np.ndarray) -> np.ndarray:
+    """Return the share of a phase in 1 / 255, from those (phases - 1, ...) uint8 of all but the
+    first.
+    """
+    if phase:
+        return np.asarray(shares[phase - 1])
+    return np.maximum(255 - shares.sum(axis=0, dtype=np.int16), 0)
 
 
 def _residual_axes(
@@ -306,7 +325,7 @@ def _residual_axes(
     covariances = []
     for axis in axes.T:
         sums: Any = sum(
-            sums_by_offset(_weighted_sum(part, axis.astype(np.float32)) * at, reach)
+            sums_by_offset(weighted_sum(part, axis.astype(np.float32)) * at, reach)
             for part, at in zip(residuals, inside, strict=True)
         )
         covariance = sums / (counts + _PAIRS)
@@ -338,19 +357,6 @@ def _power(values: np.ndarray) -> np.ndarray:
     bands = np.minimum((_frequencies(values.shape) * _BANDS).astype(np.int64), _BANDS - 1)
     squares = spectrum.real**2 + spectrum.imag**2
     return np.bincount(bands.ravel(), weights=squares.ravel(), minlength=_BANDS)
-
-
-def _luminance(field: np.ndarray) -> np.ndarray:
-    """Return the one channel of a field (C, Z, Y, X), or the luminance of three."""
-    return _weighted_sum(field, _LUMINANCE if len(field) == 3 else np.ones(1, np.float32))
-
-
-def _weighted_sum(field: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Sum channels one after another: a matrix product may round by the number of threads."""
-    total = weights[0] * field[0]
-    for weight, channel in zip(weights[1:], field[1:], strict=True):
-        total += weight * channel
-    return np.asarray(total)
 
 
 def _middle(array: np.ndarray) -> tuple[int, ...]:

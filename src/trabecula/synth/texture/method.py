@@ -22,19 +22,33 @@ from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image, with_values
 from trabecula.core.progress import notify, track
 from trabecula.core.request import Request
-from trabecula.core.seeds import generator
-from trabecula.engine.memory import Stage, forecast, resident
+from trabecula.engine.memory import Array, Stage, forecast, resident, within
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.method import Method, Model
+from trabecula.synth.shared import novel_layout
 from trabecula.synth.shared.coarse_to_fine import levels_for, levels_that_fit
-from trabecula.synth.shared.content.fields import FULL, channels_of, isotropic_scale, quantise
-from trabecula.synth.shared.content.kinds import Content, Labels, content_of, free_voxels
+from trabecula.synth.shared.content.fields import (
+    FULL,
+    channels_of,
+    isotropic_scale,
+    quantise,
+    values_by_phase,
+)
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.content.kinds import (
+    Content,
+    Labels,
+    Values,
+    complete,
+    content_of,
+)
 from trabecula.synth.shared.matching.principal_components import basis_bytes
 from trabecula.synth.shared.matching.region import Region, has_cube, regions_of
 from trabecula.synth.shared.matching.sources import Stack
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve
+from trabecula.synth.shared.small_bodies import body_stages, learn_small_bodies, settle_phases
 from trabecula.synth.shared.stages import bound_stages, usage_bytes, value_stages
 from trabecula.synth.shared.statistics.density_slopes import (
     DensitySlopes,
@@ -44,7 +58,7 @@ from trabecula.synth.shared.statistics.density_slopes import (
 )
 from trabecula.synth.shared.statistics.slices import SliceTarget
 from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
-from trabecula.synth.texture import CAPABILITIES, novel_layout
+from trabecula.synth.texture import CAPABILITIES
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.exemplar_rounds import (
     ExemplarRounds,
@@ -54,6 +68,7 @@ from trabecula.synth.texture.exemplar_rounds import (
     make_from_patches,
     target_of,
 )
+from trabecula.synth.texture.final_shape import settle_shape, shape_stages
 from trabecula.synth.texture.graded import (
     BEYOND,
     average_target,
@@ -63,29 +78,21 @@ from trabecula.synth.texture.graded import (
 )
 from trabecula.synth.texture.grey_levels import (
     GreyLevels,
-    find_threshold,
     learn_levels,
-    structure_of,
     trial_bytes,
 )
-from trabecula.synth.texture.small_bodies import (
-    body_stages,
-    learn_small_bodies,
-    settle_small_bodies,
-)
+from trabecula.synth.texture.joined import Struts, struts_of
+from trabecula.synth.texture.scan_phases import ScanPhases, find_phases
 
 # of the windows that tell dense places from sparse ones: structure lengths, voxels at least, and
 # so many of them along the exemplar's shortest side
 _WINDOW, _NARROWEST, _WINDOWS = 2, 8, 6
 _LEAST_LEFT = 1e-6  # of a phase
-_SETTLED = 3  # times that small bodies are counted and settled
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _EACH, _CHANNEL = 52, 14  # bytes of a voxel, and of its channels, while grey values are learnt
-_STRUCTURE = ("dark", "bright")
+_NAMES = {2: ("dark", "bright"), 3: ("dark", "middle", "bright")}
 _PAINTED, _PATCHES = "structure, then grey values", "patches of the exemplar"
-_NOT_TOLD = (
-    "the grey values tell no two phases: they are made from patches of the exemplar (novelty 0)"
-)
+_NOT_TOLD = "the grey values tell no phases: they are made from patches of the exemplar (novelty 0)"
 
 
 class Texture(Method):
@@ -115,11 +122,18 @@ class Texture(Method):
         novelty = self.config.novelty_for(labels=labels)
         top = novel_layout.top_for(exemplars, self.config.layout) if novelty else 0
         if top and not labels:
-            trial = max(trial_bytes(shape, channels) for shape in shapes)
-            fields = size * (_EACH + _CHANNEL * channels)
-            # the candidates of the structure are learnt before
-            return {"interpreter and kernels": _PROCESS, "fields": fields, "trial": trial}
-        if top:
+            fields = [content_of(exemplars, histogram=False).fields(one) for one in exemplars]
+            found = segment_scan(exemplars, fields, self.config.scan_phases)
+            if found is not None:
+                scan, structures = found
+                trial = max(trial_bytes(shape, channels, scan.count) for shape in shapes)
+                levels = {"fields": size * (_EACH + _CHANNEL * channels), "trial": trial}
+                # its candidates are learnt before, and kept
+                structure = dict(self.memory(structures))
+                structure["fields"] += size * 4 * channels
+                levels["interpreter and kernels"] = _PROCESS
+                return max(levels, structure, key=lambda held: sum(held.values()))
+        if top and labels:
             each = 8 + 9 * channels
             kinds = [
                 (part.width, part.level)
@@ -140,6 +154,28 @@ class Texture(Method):
             for width, level in kinds
         )
         return {"interpreter and kernels": _PROCESS, "fields": size * each, "basis": basis}
+
+
+def segment_scan(
+    exemplars: Sequence[Image], fields: Sequence[np.ndarray], way: str
+) -> tuple[ScanPhases, list[Image]] | None:
+    """Return the phases that grey values or colours tell (`find_phases`) with the exemplars as
+    labels; None where they tell none.
+    """
+    scan = find_phases(fields, isotropic_scale(exemplars[0].spacing), way=way)
+    if scan is None:
+        return None
+    labels = [
+        with_values(
+            exemplar,
+            scan.structure_of(field),
+            recipe=exemplar.recipe,
+            kind="labels",
+            phases=_NAMES[scan.count],
+        )
+        for exemplar, field in zip(exemplars, fields, strict=True)
+    ]
+    return scan, labels
 
 
 class TextureModel(Model):
@@ -227,29 +263,63 @@ class TextureModel(Model):
 
     def _learn_painted(self, fields: Sequence[np.ndarray]) -> Painted | None:
         """Learn the structure of grey values or colours as labels, and the levels on it; None where
-        they tell no two phases.
+        they tell no phases.
         """
-        threshold = find_threshold(fields)
-        if threshold is None:
+        edges, way = isotropic_scale(self.exemplars[0].spacing), self.config.scan_phases
+        found = segment_scan(self.exemplars, fields, way)
+        if found is None:
             notify(_NOT_TOLD)
             return None
-        structures = [structure_of(field, threshold) for field in fields]
-        labels = [
-            with_values(
-                exemplar, structure, recipe=exemplar.recipe, kind="labels", phases=_STRUCTURE
-            )
-            for exemplar, structure in zip(self.exemplars, structures, strict=True)
-        ]
-        edges = isotropic_scale(self.exemplars[0].spacing)
+        scan, labels = found
+        if scan.count > 2:
+            levels = " and ".join(f"{self._level_of(one):g}" for one in scan.thresholds)
+            notify(f"the grey values tell {scan.count} phases, split at {levels}")
+        structures = [image.values for image in labels]
+        products = way == "told"
+        targets = self._histograms_by_phase(structures, scan.count) if products else ()
+
+        def match(votes: np.ndarray, structure: np.ndarray) -> np.ndarray:
+            values = self._values_on(votes, structure, Request(structure.shape), targets)
+            return self.content.fields(with_values(self.exemplars[0], values))
+
         return Painted(
             TextureModel(self.config, labels),
-            learn_levels(fields, structures, threshold, edges, self._match_values),
+            learn_levels(fields, structures, scan, edges, match, products=products),
+            targets,
         )
 
-    def _match_values(self, votes: np.ndarray) -> np.ndarray:
-        """Return the fields of votes with the exemplars' histograms."""
-        values = self.content.to_values(votes, Request(votes.shape[1:]))
-        return self.content.fields(with_values(self.exemplars[0], values))
+    def _level_of(self, level: float) -> float:
+        """Return the grey value, or luminance, of a level of the field, to three digits."""
+        assert isinstance(self.content, Values)
+        low, high = self.content.low, self.content.high
+        return float(f"{low + (level + FULL) * (high - low) / (2 * FULL):.3g}")
+
+    def _histograms_by_phase(
+        self, structures: Sequence[np.ndarray], count: int
+    ) -> tuple[tuple[Histogram, ...], ...]:
+        """Return the histograms of the channels in every phase of the exemplars."""
+        channels = 3 if self.exemplars[0].kind == "colour" else 1
+        pairs = list(zip(self.exemplars, structures, strict=True))
+        pooled = [
+            np.concatenate([one.values[at == phase].reshape(-1, channels) for one, at in pairs])
+            for phase in range(count)
+        ]
+        return tuple(tuple(Histogram.of(values) for values in part.T) for part in pooled)
+
+    def _values_on(
+        self,
+        votes: np.ndarray,
+        structure: np.ndarray,
+        request: Request,
+        targets: Sequence[Sequence[Histogram]],
+    ) -> np.ndarray:
+        """Return grey values or colours of votes, with the histogram of every phase where there are
+        `targets`.
+        """
+        if not targets:
+            return self.content.to_values(votes, request)
+        values = values_by_phase(votes, structure, targets, request.mask)
+        return complete(values, request, empty=0)
 
     def _quantise(self, field: np.ndarray, index: int) -> np.ndarray:
         """Round a field of level `index` to int8: a distance counts in the voxels of its level, a
@@ -265,7 +335,9 @@ class TextureModel(Model):
         if new and self.painted is not None:
             structure, made = self.painted.structure.make(replace(request, mask=None))
             votes = self.painted.grey.paint(structure, request)
-            return self.content.to_values(votes, request), {"way": _PAINTED, **made}
+            values = self._values_on(votes, structure, request, self.painted.targets)
+            phases = self.painted.grey.scan.count
+            return values, {"way": _PAINTED, "phases": phases, **made}
         if new:
             votes = novel_layout.make_novel(
                 self._novel_rounds(request, self._regions_around(request))
@@ -282,48 +354,35 @@ class TextureModel(Model):
                     distances=self.content.distances,
                     targets=self.targets,
                     fractions=self._fractions(request, used),
+                    struts=self._struts if request.target else (),
                 )
             )
             if energies:
                 report["levels"] = energies
         votes = fit_to(votes, request.shape)
+        if not new and request.target and self.config.grading == "feedback":
+            values, report["graded"] = self._settle_shape(votes, request)
+            return values, report
         if new and self.small:
-            report["small_bodies"] = self._settle_small_bodies(votes, request)
+            assert isinstance(self.content, Labels)
+            report["small_bodies"] = settle_phases(
+                votes, self.content, self.small, request, name="texture"
+            )
         if request.target and isinstance(self.content, Labels):
             request = average_target(request)
         if self.novelty and not new:
             report["way"] = _PATCHES
         return self.content.to_values(votes, request), report
 
-    def _settle_small_bodies(self, votes: np.ndarray, request: Request) -> dict[str, Any]:
-        """Bring the small bodies of every phase to the exemplars' numbers, in the votes.
-
-        The bodies change the volume fractions, and what restores these may cut off others: so
-        again.
-        """
-        assert isinstance(self.content, Labels)
-        report: dict[str, Any] = {}
-        free = free_voxels(request)
-        for number in range(_SETTLED):
-            values = self.content.to_values(votes, request)
-            for label, bodies in self.small.items():
-                report[self.content.names[label]] = settle_small_bodies(
-                    votes,
-                    values,
-                    bodies,
-                    label,
-                    self.content.present,
-                    draw=generator(request.seed, f"texture/bodies/{label}", number),
-                    periodic=request.periodic,
-                    mask=free,
-                )
-        return report
-
     def _novel_rounds(
         self, request: Request, around: Sequence[Region] = ()
     ) -> novel_layout.NovelRounds:
         schedule = novel_layout.passes(
-            self.novelty, self.top, self.config.layout, beside=request.fixed is not None
+            self.novelty,
+            self.top,
+            self.config.layout,
+            beside=request.fixed is not None,
+            short=self.config.short,
         )
         aims, slices = self.aims, self.slices
         if request.target:
@@ -377,6 +436,34 @@ class TextureModel(Model):
             return []
         return regions_of(replace(request, mask=None), self.top + 1, bounds, self._quantise)
 
+    @cached_property
+    def _struts(self) -> list[Struts | None]:
+        """Measure the solid that is to be one component, on every level; empty where none is."""
+        if self.config.connected == "none" or not isinstance(self.content, Labels):
+            return []
+        upper, clip = self.content.present[0] == self.content.empty, self.config.clip
+        found = [struts_of(stack, upper=upper, clip=clip) for stack in self.stacks]
+        if found[0] is None and self.config.connected == "solid":
+            found[0] = struts_of(self.stacks[0], upper=upper, clip=clip, whole=0.0)
+        return found if found[0] is not None else []
+
+    def _settle_shape(
+        self, votes: np.ndarray, request: Request
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Return the result's values where a target holds around every place, and a report."""
+        assert isinstance(self.content, Labels)
+        bounds = self.content.bounds(request)
+        region = regions_of(request, 1, bounds, self._quantise)[0]
+        fractions = target_fractions(request, self.content.present, self.content.empty)
+        upper, report = settle_shape(
+            votes,
+            region,
+            fractions,
+            self._struts[0] if self._struts else None,
+            unit=FULL / self.config.clip,
+        )
+        return self.content.from_upper(upper, request), report
+
     def _fractions(self, request: Request, count: int) -> list[np.ndarray]:
         """Return the target's volume fractions on each level; empty where there is none."""
         if not request.target or not isinstance(self.content, Labels):
@@ -429,12 +516,15 @@ class TextureModel(Model):
             return (
                 *structure._stages(replace(request, mask=None), mapped=mapped),
                 *grey.stages(request),
-                *value_stages(
-                    request,
-                    request.shape,
-                    grey.channels,
-                    nbytes=self.output_bytes(request),
-                    distances=False,
+                *within(
+                    {"structure": Array(request.shape, np.uint8)},
+                    value_stages(
+                        replace(request, fixed=None, known=None),
+                        request.shape,
+                        grey.channels,
+                        nbytes=self.output_bytes(request) + int(np.prod(request.shape)),
+                        distances=False,
+                    ),
                 ),
             )
         if new:
@@ -462,6 +552,9 @@ class TextureModel(Model):
                     for number, candidates in enumerate(finest)
                 )
             )
+        if not new and request.target and self.config.grading == "feedback":
+            known = request.fixed is not None
+            stages += shape_stages(request.shape, known=known, masked=request.mask is not None)
         last = finest[-1]
         covered = region.cover(box=last.basis.box, steps=last.steps)
         channels = len(last.stack.field)
@@ -496,8 +589,9 @@ class TextureModel(Model):
 @dataclass(frozen=True)
 class Painted:
     """What grey values or colours are made of: the model of their structure as labels, and the
-    levels on it.
+    levels on it, and the histograms of the channels in every phase (none: of all together).
     """
 
     structure: TextureModel
     grey: GreyLevels
+    targets: tuple[tuple[Histogram, ...], ...]

@@ -136,6 +136,50 @@ def values_of(
     return values
 
 
+def values_by_phase(
+    fields: np.ndarray,
+    structure: np.ndarray,
+    targets: Sequence[Sequence[Histogram]],
+    inside: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16, with the
+    channels' histograms of every phase: `targets` by the value of the structure (Z, Y, X) uint8.
+    """
+    channels, shape = len(fields), structure.shape
+    values = memmap.empty(
+        shape if channels == 1 else (*shape, channels), targets[0][0].values.dtype
+    )
+    for phase, histograms in enumerate(targets):
+        within = _voxels_of(structure, phase, inside)
+        tables = [
+            matching_table(field, target, within)
+            for field, target in zip(fields, histograms, strict=True)
+        ]
+
+        def work(
+            start: int, stop: int, within: np.ndarray = within, tables: list[np.ndarray] = tables
+        ) -> None:
+            plane = np.empty((1, *shape[1:]), values.dtype)
+            for z in range(start, stop):
+                for c, table in enumerate(tables):
+                    look_up(fields[c], table, plane, z, z, z + 1)
+                    to = values[z] if channels == 1 else values[z, ..., c]
+                    np.copyto(to, plane[0], where=within[z])
+
+        for_slabs(work, len(values))
+    return values
+
+
+def _voxels_of(structure: np.ndarray, phase: int, inside: np.ndarray | None) -> np.ndarray:
+    """Mark the voxels of a phase, of those inside."""
+
+    def mark(start: int, stop: int) -> np.ndarray:
+        there = structure[start:stop] == phase
+        return there if inside is None else there & inside[start:stop]
+
+    return make_by_slabs(mark, structure.shape, bool)
+
+
 def plain_values(fields: np.ndarray, *, low: float, high: float, dtype: np.dtype) -> np.ndarray:
     """Return grey (Z, Y, X) or colour (Z, Y, X, 3) of voted fields (C, Z, Y, X) int16: the inverse
     of `value_fields`.

@@ -25,7 +25,7 @@ from trabecula.synth.shared.content.fields import (
 )
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.content.joints import pool_fractions, surroundings
-from trabecula.synth.shared.content.phase_fractions import labels_of
+from trabecula.synth.shared.content.phase_fractions import labels_of, labels_of_upper
 from trabecula.synth.shared.slabs import (
     complement,
     count_true,
@@ -175,6 +175,11 @@ class Labels(Content):
         free = free_voxels(request)
         wanted = self._target_fractions(request, free) if self.histogram or request.target else None
         values = labels_of(votes, self.present, wanted, free)
+        return complete(values, request, empty=self.empty)
+
+    def from_upper(self, upper: np.ndarray, request: Request) -> np.ndarray:
+        """Return the result's values where the second of two phases is marked, (Z, Y, X) bool."""
+        values = labels_of_upper(upper, self.present)
         return complete(values, request, empty=self.empty)
 
     def _target_fractions(self, request: Request, free: np.ndarray | None) -> np.ndarray:

@@ -52,10 +52,17 @@ def labels_of(
     size = fields[0].size if inside is None else count_true(inside)
     if len(present) == 2:
         upper = brightest_voxels(fields[0], round(size * float(fractions[1])), inside)
-        return _in_place(upper.view(np.uint8), labels)
+        return labels_of_upper(upper, present)
     return _in_place(
         assign_phases(fields, np.rint(size * fractions).astype(np.int64), inside), labels
     )
+
+
+def labels_of_upper(upper: np.ndarray, present: tuple[int, ...]) -> np.ndarray:
+    """Return labels (uint8) where the second of two phases is marked, (Z, Y, X) bool, in its
+    memory.
+    """
+    return _in_place(upper.view(np.uint8), np.asarray(present, np.uint8))
 
 
 def _largest(fields: np.ndarray) -> np.ndarray:

@@ -170,15 +170,23 @@ class GaussianField:
         return tuple(side // 2 for side in self.filters[0].values.shape)
 
     def each(
-        self, number: int, domain: Domain, box: Box, use: Use, *, most: float = math.inf
+        self,
+        number: int,
+        domain: Domain,
+        box: Box,
+        use: Use,
+        *,
+        most: float = math.inf,
+        noise: int | None = None,
     ) -> None:
         """Make a field in a box, in pieces.
 
-        `use(piece, z, plane)` gets its planes as whole numbers, almost (see `Field`).
+        `use(piece, z, plane)` gets its planes as whole numbers, almost (see `Field`). The white
+        noise is that of the field `noise`; default its own.
         """
         shape = [stop - start for start, stop in box]
         around, reach = self._around(shape), self.reach
-        stage = key(domain.seed, f"noise/{number}")
+        stage = key(domain.seed, f"noise/{number if noise is None else noise}")
         work = Workspace(self.stages(shape))
         response = self._response_of(number, around, work)
         work.enter("field")

@@ -93,14 +93,16 @@ def _distance(features, place, exemplar, candidate, most):
 
 
 @inline
-def _neighbour_cell(match, shape, dz, dy, dx):
-    """Return the index `dz, dy, dx` cells further in E, or -1 outside."""
-    x = match % shape[2] + dx
-    y = (match // shape[2]) % shape[1] + dy
-    z = match // (shape[2] * shape[1]) + dz
-    if z < 0 or y < 0 or x < 0 or z >= shape[0] or y >= shape[1] or x >= shape[2]:
-        return np.int64(-1)
-    return np.int64((z * shape[1] + y) * shape[2] + x)
+def _neighbour_cell(match, shape, axis, step):
+    """Return the index `step` cells further along an axis of E, or -1 outside."""
+    if axis == 0:
+        span, move = shape[0] * shape[1] * shape[2], step * shape[1] * shape[2]
+    elif axis == 1:
+        span, move = shape[1] * shape[2], step * shape[2]
+    else:
+        span, move = shape[2], step
+    place = (match if axis == 0 else match % span) + move
+    return match + move if 0 <= place < span else np.int64(-1)
 
 
 @inline
@@ -149,9 +151,8 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
                     continue
                 site = (z - first, y, x)
                 best = np.int64(old[z, y, x])
-                least = (
-                    np.float32(_distance(features, site, exemplar, best, np.inf)) * penalty[best]
-                )
+                own, kept = best, _distance(features, site, exemplar, best, np.inf)
+                least = np.float32(kept) * penalty[best]
                 for axis in range(3):
                     for side in range(-1, 2, 2):
                         dz, dy, dx = (
@@ -164,8 +165,8 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
                             if not wraps[axis]:
                                 continue
                             nz, ny, nx = nz % Z, ny % Y, nx % X
-                        mz, my, mx = -dz * ratios[0], -dy * ratios[1], -dx * ratios[2]
-                        candidate = _neighbour_cell(np.int64(old[nz, ny, nx]), shape, mz, my, mx)
+                        there = np.int64(old[nz, ny, nx])
+                        candidate = _neighbour_cell(there, shape, axis, -side * ratios[axis])
                         if candidate >= 0 and candidate != best:
                             best, least = _better(
                                 features, site, exemplar, penalty, candidate, best, least
@@ -177,7 +178,9 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
                     near = _around(words, best, shape, max(1, longest >> (k + 2)))
                     best, least = _better(features, site, exemplar, penalty, near, best, least)
                 match[z, y, x] = best
-                distance[z, y, x] = _distance(features, site, exemplar, best, np.inf)
+                if best != own:
+                    kept = _distance(features, site, exemplar, best, np.inf)
+                distance[z, y, x] = kept
 
 
 @kernel
@@ -224,10 +227,14 @@ def vote(field, match, weight, layout, plane, result, start, stop):
 @inline
 def _fold(plane, Y, X, wraps):
     """Add the part beyond an axis that wraps to its beginning."""
-    for y in range(Y, plane.shape[1] if wraps[1] else 0):
-        plane[:, y - Y] += plane[:, y]
-    for x in range(X, plane.shape[2] if wraps[2] else 0):
-        plane[:, :, x - X] += plane[:, :, x]
+    # Loops and no sums of arrays, here and below: those take Numba seconds to compile.
+    for c in range(plane.shape[0]):
+        for y in range(Y, plane.shape[1] if wraps[1] else 0):
+            for x in range(plane.shape[2]):
+                plane[c, y - Y, x] += plane[c, y, x]
+        for y in range(plane.shape[1]):
+            for x in range(X, plane.shape[2] if wraps[2] else 0):
+                plane[c, y, x - X] += plane[c, y, x]
 
 
 @inline
@@ -286,7 +293,8 @@ def _spread(summed, weights, layout):
         for sy in range(max(0, (y - box[1] + steps[1]) // steps[1]), min(SY, y // steps[1] + 1)):
             y0, y1 = reach(sy, SY, box[1], trims[1], wraps[1])
             if y0 <= y - sy * steps[1] < y1:
-                row += summed[sy]
+                for sx in range(SX):
+                    row[sx] += summed[sy, sx]
         for sx in range(SX):
             x0, x1 = reach(sx, SX, box[2], trims[2], wraps[2])
             for x in range(sx * steps[2] + x0, sx * steps[2] + x1):

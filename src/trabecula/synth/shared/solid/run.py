@@ -191,6 +191,16 @@ class SolidRounds(ViewRounds[SolidStage]):
         return [f"level {index}" for index in reversed(range(self.used))]
 
     @property
+    def costs(self) -> list[float]:
+        """List rounds times voxels of the levels."""
+        return [self._rounds(index) / 8**index for index in reversed(range(self.used))]
+
+    def _rounds(self, index: int) -> int:
+        """Return the rounds on a level."""
+        coarsest = index == self.used - 1
+        return self.config.first_rounds if coarsest else at_level(self.config.rounds, index)
+
+    @property
     def robustness(self) -> float:
         """Return the exponent of the distances that are minimised."""
         return float(self.config.robustness)
@@ -199,9 +209,7 @@ class SolidRounds(ViewRounds[SolidStage]):
         """Prepare the views of a level; the region itself is not needed after that."""
         config, model = self.config, self.model
         index = self.used - 1 - place
-        level, rounds = model.levels[index], at_level(config.rounds, index)
-        if place == 0:
-            rounds = config.first_rounds
+        level, rounds = model.levels[index], self._rounds(index)
         del self.regions[index + 1 :]
         self.debt = None
         views = RegionViews.over(self.regions.pop(), level.views, self.targets(level))

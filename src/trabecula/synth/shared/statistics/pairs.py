@@ -10,7 +10,7 @@ holds a contiguous piece.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -28,23 +28,33 @@ Planes = Callable[[int], np.ndarray]
 
 # values that are worth a thread: transforms of less wait for the interpreter longer than they take
 _WORTH = 1 << 19
+_AT_ONCE = 1 << 13  # complex values that are transformed in one call, unless a plane has more
 
 _CONE = np.cos(np.pi / 8) ** 2
 
-_LINES = [
+LINES = [
     line
     for line in product((0, 1), (-1, 0, 1), (-1, 0, 1))
     if next((step for step in line if step), 0) > 0
 ]
 """Directions (z, y, x) from a voxel to the 13 of its 26 neighbours that the others mirror."""
 
-AXES, DIAGONAL = 3, len(_LINES)
+AXES, DIAGONAL = 3, len(LINES)
 """Directions by which pairs are binned: the axes alone, or their diagonals as well."""
 
 
 def _enough(values: int) -> int:
     """Count the planes of so many values that are worth a thread."""
     return max(8, _WORTH // values)
+
+
+def spans(start: int, stop: int, values: int) -> Iterator[tuple[int, int]]:
+    """Yield parts of start..stop, so many at a time that calls cost little and stay in the cache:
+    of planes or rows of `values`.
+    """
+    step = max(1, _AT_ONCE // max(1, values))
+    for first in range(start, stop, step):
+        yield first, min(first + step, stop)
 
 
 @dataclass(frozen=True)
@@ -145,7 +155,8 @@ class Pairs:
     def slab_bytes(self) -> int:
         """Return the bytes of planes and rows that are never memory-mapped."""
         depth, height, width = self.sides
-        return (1 << 16) + thread_count() * 64 * max(depth, height) * (width // 2 + 1)
+        together = max(_AT_ONCE, max(depth, height) * (width // 2 + 1))
+        return (1 << 16) + thread_count() * 64 * together
 
     def forward(self, values: np.ndarray | Planes) -> np.ndarray:
         """Transform (Z, Y, X) float32, given whole or as a function of z that makes each plane;
@@ -157,8 +168,9 @@ class Pairs:
         _flat_transforms(values, (height, width), spectrum[:count])
 
         def lines(start: int, stop: int) -> None:
-            for y in range(start, stop):
-                spectrum[:, y] = np.fft.fft(spectrum[:count, y], depth, axis=0)
+            for low, high in spans(start, stop, depth * (width // 2 + 1)):
+                rows = spectrum[:count, low:high]
+                spectrum[:, low:high] = np.fft.fft(rows, depth, axis=0)
 
         for_slabs(lines, height, least=_enough(depth * width))
         return spectrum
@@ -180,7 +192,7 @@ class Pairs:
         kernel = self._kernel(weights)
         values = memmap.empty(self.shape, np.float32, least=0)
         depth, far = self.shape[0], self.reach[0]
-        along_z, along_y, along_x = (_box_response(side, shorter_than) ** 2 for side in self.shape)
+        along_z, along_y, along_x = (box_response(side, shorter_than) ** 2 for side in self.shape)
         along_x = along_x[: kernel.shape[2]]
 
         def product(y: int) -> np.ndarray:
@@ -241,12 +253,25 @@ class Pairs:
             for y in range(start, stop):
                 kept[:, y] = _take(np.fft.ifft(product(y), axis=0), places[0], 0)
 
-        def planes(start: int, stop: int) -> None:
-            for z in range(start, stop):
-                rows = _take(np.fft.ifft(kept[z], axis=0), places[1], 0)
-                values[z] = _take(np.fft.irfft(rows, width, axis=1), places[2], 1)
-
         for_slabs(lines, height, least=_enough(depth * width), anywhere=True)
+        self._inverse_planes(kept, places, values, anywhere=anywhere)
+
+    def _inverse_planes(
+        self,
+        kept: np.ndarray,
+        places: Sequence[np.ndarray],
+        values: np.ndarray,
+        *,
+        anywhere: bool = False,
+    ) -> None:
+        """Transform planes back along y and x, into `values` at some places along these axes."""
+        _, height, width = self.sides
+
+        def planes(start: int, stop: int) -> None:
+            for low, high in spans(start, stop, height * (width // 2 + 1)):
+                rows = _take(np.fft.ifft(kept[low:high], axis=1), places[1], 1)
+                values[low:high] = _take(np.fft.irfft(rows, width, axis=2), places[2], 2)
+
         for_slabs(planes, len(kept), least=_enough(height * width), anywhere=anywhere)
 
     def _by_length(self, sums: np.ndarray) -> np.ndarray:
@@ -261,7 +286,7 @@ def _nearest_line(z: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return the number of the direction to which an offset (sparse grids) lies nearest."""
     longest = np.full(np.broadcast_shapes(z.shape, y.shape, x.shape), -1.0)
     nearest = np.zeros(longest.shape, np.int64)
-    for number, (a, b, c) in enumerate(_LINES):
+    for number, (a, b, c) in enumerate(LINES):
         along = np.abs(a * z + b * y + c * x) / math.sqrt(a * a + b * b + c * c)
         nearest[along > longest] = number
         np.maximum(longest, along, out=longest)
@@ -277,14 +302,15 @@ def _flat_transforms(
     height, width = sides
 
     def work(start: int, stop: int) -> None:
-        for z in range(start, stop):
-            plane = values(z) if callable(values) else values[z]
-            spectra[z] = np.fft.fft(np.fft.rfft(plane, width, axis=1), height, axis=0)
+        for low, high in spans(start, stop, height * (width // 2 + 1)):
+            some = range(low, high)
+            planes = np.stack([values(z) if callable(values) else values[z] for z in some])
+            spectra[low:high] = np.fft.fft(np.fft.rfft(planes, width, axis=2), height, axis=1)
 
     for_slabs(work, len(spectra), least=_enough(height * width), anywhere=True)
 
 
-def _box_response(side: int, width: int) -> np.ndarray:
+def box_response(side: int, width: int) -> np.ndarray:
     """Return the transform of the mean over `width` voxels of a line that wraps,
     (side,) float32.
     """

@@ -247,11 +247,19 @@ def add(blocks, numbers, first, steps, box, places, rest, total, votes, start, s
                         if row < 0:
                             continue
                         x = sx * steps[2]
-                        for c in range(channels):
+                        # the compiler makes few additions of a width that it knows
+                        if width == 6:
+                            for c in range(channels):
+                                for dx in range(6):
+                                    line[c, x + dx] += blocks[row, at + c * voxels + dx]
+                            for dx in range(6):
+                                count[x + dx] += 1
+                        else:
+                            for c in range(channels):
+                                for dx in range(width):
+                                    line[c, x + dx] += blocks[row, at + c * voxels + dx]
                             for dx in range(width):
-                                line[c, x + dx] += blocks[row, at + c * voxels + dx]
-                        for dx in range(width):
-                            count[x + dx] += 1
+                                count[x + dx] += 1
             for x in range(len(places_x)):
                 for c in range(channels):
                     total[c, places_z[z], places_y[y], places_x[x]] += (

@@ -28,9 +28,11 @@ from trabecula.synth.shared.content.fields import FULL, UNIT, votes_of
 from trabecula.synth.shared.statistics.pairs import Pairs
 from trabecula.synth.shared.statistics.two_point import Correlations, Soft
 
-_LEAK = 0.5  # share of earlier rounds' misfits that still counts
 # a misfit at distance r weighs 1 + (_SHORT / r)^2: what sets the surface is a few distances only
 _SHORT = 2.0
+
+LEAK = 0.5
+"""Share of the misfits of earlier rounds that still counts."""
 
 BANDS = (1, 2, 3, 5, 8, 12)
 """Where the bands of distances begin, voxels; the last one reaches to r_max."""
@@ -49,7 +51,7 @@ def accumulate_debt(
 ) -> np.ndarray:
     """Return the debt after a round of votes that left `field` (C, Z, Y, X) int8."""
     now = misfit(field, target, periodic=periodic, free=free)
-    return now if debt is None else now + _LEAK * debt
+    return now if debt is None else now + LEAK * debt
 
 
 def misfit(
@@ -102,7 +104,7 @@ def two_point_step(
         aim = target.curves[c] if debt is None else target.curves[c] - debt[c]
         step = _step(Soft.of(channel, target.softness, free), aim, target, pairs, around)
         if step is not None:
-            _take(*step, np.float32(UNIT * target.softness), votes[c])
+            step[0].take(step[1], np.float32(UNIT * target.softness), votes[c])
     return votes
 
 
@@ -151,7 +153,7 @@ def _pairs(
 
 
 @dataclass(frozen=True)
-class _Direction:
+class Direction:
     """A direction in which the two-point function falls where it is pushed: on the interface only,
     its mean there left as it is.
 
@@ -166,10 +168,35 @@ class _Direction:
         """Return plane z (Y, X) float32."""
         return np.where(self.soft.interface(z), self.mean - self.slope[z], np.float32(0))
 
+    @classmethod
+    def of(cls, slope: np.ndarray, soft: Soft, moving: int) -> Direction:
+        """Return the direction down a slope, on the interface of `moving` voxels."""
+        sums = np.zeros(len(slope))
+
+        def work(start: int, stop: int) -> None:
+            for z in range(start, stop):
+                sums[z] = (slope[z] * soft.interface(z)).sum(dtype=np.float64)
+
+        for_slabs(work, len(slope))
+        return cls(slope, np.float32(math.fsum(sums.tolist()) / moving), soft)
+
+    def take(self, length: np.float32, unit: np.float32, votes: np.ndarray) -> None:
+        """Go so far: into votes (Z, Y, X) int16, `unit` of which is the soft indicator's whole
+        range.
+        """
+        limit = FULL * UNIT
+
+        def work(start: int, stop: int) -> None:
+            for z in range(start, stop):
+                moved = votes[z] + self.plane(z) * length * unit
+                votes[z] = np.clip(np.rint(moved, out=moved), -limit, limit, out=moved)
+
+        for_slabs(work, len(votes))
+
 
 def _step(
     soft: Soft, aim: np.ndarray, target: Correlations, pairs: Pairs, around: Pairs
-) -> tuple[_Direction, np.float32] | None:
+) -> tuple[Direction, np.float32] | None:
     """Find the direction of the soft indicator's move, and its length; None where nothing can move,
     or nothing has to.
     """
@@ -179,16 +206,11 @@ def _step(
     work = Workspace(_stages(pairs, around))
     work.enter("compare it")
     work.adopt("spectrum", pairs.forward(soft.plane))
-    r = np.arange(pairs.bins) % (target.r_max + 1)
-    weights = np.where(
-        (r > 0) & (pairs.fits > 0) & target.held, 1 + (_SHORT / np.maximum(r, 1)) ** 2, 0.0
-    )
+    r, weights = weigh_distances(pairs, target)
     excess = pairs.curve(work["spectrum"], work["spectrum"]) - aim
     work.adopt("centred", around.forward(partial(soft.centre, mean)))
 
-    # Cut at twice the smallest window instead, S2 of bone is .03 off where it is .015 now: lags of
-    # 16 to 40 have no other hold.
-    shortest = target.waves.widths[-1] if target.waves is not None and target.waves.widths else 0
+    shortest = longest_wave(target)
     pushes, changes = split_into_bands(excess * weights, r), []
     for push in pushes:
         work.enter("make a direction")
@@ -212,33 +234,28 @@ def _step(
 
 def _direction(
     push: np.ndarray, soft: Soft, moving: int, centred: np.ndarray, around: Pairs, shorter_than: int
-) -> _Direction:
+) -> Direction:
     """Return the direction that lowers the two-point function where it is pushed, on the interface
     of `moving` voxels.
     """
     slope = around.convolve(centred, push / np.maximum(around.fits, 1), shorter_than=shorter_than)
-    sums = np.zeros(len(slope))
-
-    def work(start: int, stop: int) -> None:
-        for z in range(start, stop):
-            sums[z] = (slope[z] * soft.interface(z)).sum(dtype=np.float64)
-
-    for_slabs(work, len(slope))
-    return _Direction(slope, np.float32(math.fsum(sums.tolist()) / moving), soft)
+    return Direction.of(slope, soft, moving)
 
 
-def _take(direction: _Direction, length: np.float32, unit: np.float32, votes: np.ndarray) -> None:
-    """Go so far in a direction: into votes (Z, Y, X) int16, `unit` of which is the soft indicator's
-    whole range.
+def weigh_distances(pairs: Pairs, target: Correlations) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distance of every bin, and what its misfit weighs: 0 without pairs."""
+    r = np.arange(pairs.bins) % (target.r_max + 1)
+    counts = (r > 0) & (pairs.fits > 0) & target.held
+    return r, np.where(counts, 1 + (_SHORT / np.maximum(r, 1)) ** 2, 0.0)
+
+
+def longest_wave(target: Correlations) -> int:
+    """Return the width of the widest window of the target's long waves; 0 where it has none.
+
+    Steps that were cut at twice the smallest window instead left S2 of bone .03 off where it is
+    .015 now: lags of 16 to 40 have no other hold.
     """
-    limit = FULL * UNIT
-
-    def work(start: int, stop: int) -> None:
-        for z in range(start, stop):
-            moved = votes[z] + direction.plane(z) * length * unit
-            votes[z] = np.clip(np.rint(moved, out=moved), -limit, limit, out=moved)
-
-    for_slabs(work, len(votes))
+    return target.waves.widths[-1] if target.waves is not None and target.waves.widths else 0
 
 
 def split_into_bands(push: np.ndarray, r: np.ndarray) -> list[np.ndarray]:

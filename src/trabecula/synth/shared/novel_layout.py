@@ -1,5 +1,5 @@
-"""New material rather than moved patches: the way of `novelty` above 0, instead of search from
-random patches.
+"""New material rather than moved patches: the way of `texture` with `novelty`, and of a picture
+beside a relative in space.
 
 The coarsest level is laid out by sliced rounds, which copy nothing; then a few rounds of search and
 vote with narrow neighbourhoods make interfaces those of the exemplar. After each a step on the
@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from trabecula.synth.shared.statistics.long_waves import (
 from trabecula.synth.shared.statistics.pairs import AXES, DIAGONAL
 from trabecula.synth.shared.statistics.sliced import transport_neighbourhoods, transport_stages
 from trabecula.synth.shared.statistics.slices import SliceTarget, slice_target
+from trabecula.synth.shared.statistics.torus_steps import torus_step, torus_step_stages
 from trabecula.synth.shared.statistics.two_point import (
     Correlations,
     correlations_at,
@@ -51,7 +52,6 @@ from trabecula.synth.shared.statistics.two_point_steps import (
     step_stages,
     two_point_step,
 )
-from trabecula.synth.texture.config import TextureConfig
 
 COARSEST = 2
 """The level that sliced rounds lay out, at most: 4 times coarser than the result."""
@@ -70,11 +70,35 @@ _AROUND = (True, True, True)
 _SLICED_WIDTHS = (6, 4)  # of the neighbourhoods of sliced rounds: the first for which there is room
 _ROOM = 4
 _STRENGTH, _SLICED_STEP = 2.5, 2
-_SLICED_ROUNDS, _STEP_EVERY = 30, 5
+_SLICED_ROUNDS, _SHORT_ROUNDS, _STEP_EVERY = 30, 20, 5
 _MOVED = 16  # rounds on the coarsest level at hardly any novelty
 _WIDE_FROM = 5  # so many of them let finer levels have wide neighbourhoods
 _WIDEST = 8  # voxels of the widest neighbourhood
-_FIRST = 3  # times as many sweeps in the first round, which starts from random matches
+
+
+class NovelSettings(Protocol):
+    """Settings of a run: the layout ("structure" or "coarse"), what is kept of neighbourhoods, and
+    how they are searched for and vote.
+    """
+
+    @property
+    def layout(self) -> str: ...
+    @property
+    def short(self) -> bool: ...
+    @property
+    def clip(self) -> float: ...
+    @property
+    def variance(self) -> float: ...
+    @property
+    def components(self) -> int: ...
+    @property
+    def sweeps(self) -> int: ...
+    @property
+    def tries(self) -> int: ...
+    @property
+    def index_penalty(self) -> float: ...
+    @property
+    def robustness(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -84,7 +108,9 @@ class Pass:
     `beyond` says how far the last round aims beyond the target, in what the rounds before fell
     short of it: the next pass takes some of that back. Nothing comes after the last pass, which is
     on target. `roughest` is the most interface that a step may leave, over the target's: of a pass
-    that goes beyond, a vote smooths some away.
+    that goes beyond, a vote smooths some away. `first` and `later` are the sweeps of the search in
+    the first round, which starts from random matches, and in others, over those of the settings;
+    `tries` the random candidates, over theirs.
     """
 
     level: int
@@ -94,6 +120,13 @@ class Pass:
     steps: int
     beyond: float = 1.0
     roughest: float = 1.0
+    first: float = 3.0
+    later: float = 1.0
+    tries: float = 1.0
+
+    def sweeps(self, number: int, each: int) -> int:
+        """Count the sweeps of round `number`, with `each` in the settings."""
+        return max(1, round(each * (self.later if number else self.first)))
 
 
 @dataclass(frozen=True)
@@ -116,7 +149,9 @@ class Aims:
         return replace(self, histograms=histograms, correlations=correlations, interface=share)
 
 
-def passes(novelty: float, top: int, layout: str, *, beside: bool = False) -> tuple[Pass, ...]:
+def passes(
+    novelty: float, top: int, layout: str, *, beside: bool = False, short: bool = False
+) -> tuple[Pass, ...]:
     """List the passes from the level that sliced rounds lay out to the finest one.
 
     Less than full novelty lets neighbourhoods of the exemplar into the layout, and then widens
@@ -138,9 +173,16 @@ def passes(novelty: float, top: int, layout: str, *, beside: bool = False) -> tu
         Pass(0, width, 2, 2, 2, beyond=1.7, roughest=1.1),
         Pass(0, WIDTH, 2, 1, 1, beyond=0.0),
     )
+    every = (*coarser, *finest)
+    if short:
+        # steps in one direction leave more handles, which less interface takes away
+        every = tuple(
+            replace(p, first=2.0, later=0.5, tries=0.5, roughest=rough)
+            for p, rough in zip(every, (*[0.95] * len(coarser), 1.0, 0.97), strict=True)
+        )
     if beside:
-        return tuple(replace(p, steps=0, beyond=0.0) for p in (*coarser, *finest))
-    return (*coarser, *finest)
+        return tuple(replace(p, steps=0, beyond=0.0) for p in every)
+    return every
 
 
 def structure_length(exemplars: Sequence[Image]) -> float:
@@ -185,7 +227,7 @@ def aims_of(
     level: int,
     edges: tuple[float, ...],
     schedule: Sequence[Pass],
-    config: TextureConfig,
+    config: NovelSettings,
 ) -> Aims:
     """Learn one level; `fields` are the exemplars themselves in int8, without turned copies."""
     directions = DIAGONAL if config.layout == "structure" else AXES
@@ -329,7 +371,7 @@ class NovelRounds(CoarseToFine[Any]):
         slices: SliceTarget,
         schedule: Sequence[Pass],
         request: Request,
-        config: TextureConfig,
+        config: NovelSettings,
         around: Sequence[Region] = (),
     ) -> None:
         self.aims, self.slices = aims, slices
@@ -345,11 +387,21 @@ class NovelRounds(CoarseToFine[Any]):
         unused = [iter(aim.candidates) for aim in aims]
         self.candidates = [next(unused[part.level]) for part in schedule]
         self.debt: np.ndarray | None = None
+        self.short = config.short
 
     @property
     def names(self) -> list[str]:
         """List the names of the layout and of the passes."""
         return ["novel layout", *(f"novel pass {number}" for number in range(len(self.schedule)))]
+
+    @property
+    def costs(self) -> list[float]:
+        """List rounds times voxels of the layout and of the passes."""
+        layout = _SLICED_ROUNDS * math.prod(self.shapes[self.top])
+        return [
+            layout,
+            *(part.rounds * math.prod(self.shapes[part.level]) for part in self.schedule),
+        ]
 
     def open_stage(self, place: int) -> NovelLayoutStage | PassStage:
         """Prepare the layout, or the grid of a pass."""
@@ -381,8 +433,8 @@ class NovelRounds(CoarseToFine[Any]):
         aims, region = self.aims[self.top], self.regions[self.top]
         if self.request.fixed is not None:
             aims = with_histograms(aims, targets_of(region, aims.histograms, width=WIDTH))
-        moving = region.unsettled()
-        return NovelLayoutStage(name, "laying out", _SLICED_ROUNDS, aims, region, moving)
+        moving, rounds = region.unsettled(), _SHORT_ROUNDS if self.short else _SLICED_ROUNDS
+        return NovelLayoutStage(name, "laying out", rounds, aims, region, moving)
 
     def memory(self, stage: NovelLayoutStage | PassStage) -> Iterable[Stage]:
         """Declare the arrays of the layout, or of a pass."""
@@ -400,7 +452,7 @@ class NovelRounds(CoarseToFine[Any]):
         volume = (len(aims.stack.field), *shape)
         known = self.request.fixed is not None
         transport = transport_stages(volume, [(0, self.slices)], step=_SLICED_STEP, known=known)
-        steps = (*step_stages(shape, aims.correlations, _AROUND), *wave_stages(volume))
+        steps = (*self._step_stages(shape, aims.correlations, _AROUND), *wave_stages(volume))
         held = region_arrays(replace(self.request, mask=None), shape, len(aims.stack.field))
         return layout_stages(volume, {**held, "moving": held["free"]}, transport, steps)
 
@@ -410,7 +462,7 @@ class NovelRounds(CoarseToFine[Any]):
             self.request,
             Region(self.shapes[part.level], _AROUND),
             [(0, self.candidates[number])],
-            sweeps=_FIRST * self.config.sweeps,
+            sweeps=part.sweeps(0, self.config.sweeps),
             votes_rest=False,
             refit=number > 0 and self.schedule[number - 1].level == part.level,
             mapped=mapped,
@@ -418,9 +470,17 @@ class NovelRounds(CoarseToFine[Any]):
         if not part.steps:
             return level.stages()
         target, periodic = self.aims[part.level].correlations, self.request.periodic
-        step = step_stages(level.covered.shape, target, periodic)
+        step = self._step_stages(level.covered.shape, target, periodic)
         waves = within({**level.base, **level.votes}, wave_stages(level.volume))
         return (*replace(level, correction=step).stages(), *waves)
+
+    def _step_stages(
+        self, shape: Sequence[int], target: Correlations, periodic: Sequence[bool]
+    ) -> tuple[Stage, ...]:
+        """Declare the arrays of a step on the two-point function."""
+        if self.short and self.request.fixed is None:
+            return torus_step_stages(shape, target)
+        return step_stages(shape, target, periodic)
 
     def enter(self, stage: NovelLayoutStage | PassStage, place: int, before: Workspace) -> None:
         """Start from noise, or refine the field and start from random matches."""
@@ -483,11 +543,17 @@ class NovelRounds(CoarseToFine[Any]):
         if (number + 1) % _STEP_EVERY == 0:
             self.match_field(stage.region, stage.aims.histograms)
             work.release("votes")
-            work.adopt("votes", two_point_step(work["field"], target, periodic=_AROUND, free=free))
+            work.adopt("votes", self._layout_step(target, free))
             _hold_waves(work["votes"], target, stage.region, stage.aims.histograms)
             self._make_votes(stage)
         elif free is not None:
             self._make_votes(stage, matched=False)
+
+    def _layout_step(self, target: Correlations, free: np.ndarray | None) -> np.ndarray:
+        """Take a step on the two-point function of the layout's field."""
+        if free is None and self.short:
+            return torus_step(self.work["field"], target)[0]
+        return two_point_step(self.work["field"], target, periodic=_AROUND, free=free)
 
     def leave(self, stage: NovelLayoutStage | PassStage) -> None:
         """Make the field of the layout: a step was the last, so its votes are those of a field."""
@@ -496,7 +562,7 @@ class NovelRounds(CoarseToFine[Any]):
 
     def search(self, stage: PassStage, number: int) -> None:
         """Find a new match for every site, and what it weighs in the vote."""
-        config, work = self.config, self.work
+        config, work, part = self.config, self.work, stage.part
         work.enter("search0")
         found = coherent_search(
             stage.grid,
@@ -504,8 +570,8 @@ class NovelRounds(CoarseToFine[Any]):
             work["field"],
             stage=stage.stage,
             first=100 * number + 1,
-            count=config.sweeps * (_FIRST if number == 0 else 1),
-            tries=config.tries,
+            count=part.sweeps(number, config.sweeps),
+            tries=round(config.tries * part.tries),
             index_penalty=config.index_penalty,
         )
         self.weigh_matches(stage.grid, found, config.robustness)
@@ -521,18 +587,17 @@ class NovelRounds(CoarseToFine[Any]):
     def correct(self, stage: PassStage, number: int) -> None:
         """Take steps on the two-point function, the last with one on long waves."""
         part, grid, work = stage.part, stage.grid, self.work
-        periodic = self.request.periodic
-        if part.beyond:
+        beyond = part.beyond if number == part.rounds - 1 else 1.0
+        if part.beyond and not self.short:
             work.enter("rest")
-            self.debt = accumulate_debt(self.debt, work["field"], stage.target, periodic=periodic)
-        aim = self.debt
-        if aim is not None and number == part.rounds - 1:
-            aim = aim * part.beyond
+            self.debt = accumulate_debt(
+                self.debt, work["field"], stage.target, periodic=self.request.periodic
+            )
         for step in range(part.steps):
             work.enter("rest")
             work.enter("match")
-            votes = two_point_step(work["field"], stage.target, debt=aim, periodic=periodic)
-            work.adopt("votes", votes)
+            renew = step == 0 and part.beyond > 0
+            votes = work.adopt("votes", self._step(stage.target, beyond, renew))
             if stage.interface is not None:
                 shorten_move(work["field"], votes, stage.interface)
             if step == part.steps - 1:
@@ -540,6 +605,17 @@ class NovelRounds(CoarseToFine[Any]):
                 _hold_waves(votes, stage.target, grid.region, grid.targets)
             del votes
             self.match_field(grid.region, grid.targets)
+
+    def _step(self, target: Correlations, beyond: float, renew: bool) -> np.ndarray:
+        """Take a step on the two-point function that aims beyond the target by the debt, which the
+        field of a vote may `renew`.
+        """
+        field = self.work["field"]
+        if self.short:
+            votes, self.debt = torus_step(field, target, debt=self.debt, renew=renew, beyond=beyond)
+            return votes
+        aim = None if self.debt is None else self.debt * beyond
+        return two_point_step(field, target, debt=aim, periodic=self.request.periodic)
 
     def arrays(self, stage: NovelLayoutStage | PassStage, number: int) -> dict[str, np.ndarray]:
         """Return all that the next round starts from; after the last one the votes as well."""
