@@ -11,6 +11,7 @@ from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.cluster import ReferencedFiles
 from trabecula.engine.memory import check_releases
+from trabecula.synth.shared import novel_layout
 from trabecula.synth.shared.content.fields import FULL, noise, votes_of
 from trabecula.synth.shared.content.kinds import Labels
 from trabecula.synth.shared.matching.region import Region
@@ -31,7 +32,6 @@ from trabecula.synth.shared.statistics.two_point_steps import (
 from trabecula.synth.sliced import run
 from trabecula.synth.sliced.run import regions_around_known
 from trabecula.synth.sliced.steps import distance_stages, distance_step, slope
-from trabecula.synth.texture import novel_layout
 from trabecula.testing.peak import peak_bytes
 
 OPEN, AROUND, MIXED = (False, False, False), (True, True, True), (True, False, True)
