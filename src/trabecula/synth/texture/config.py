@@ -52,7 +52,7 @@ class TextureConfig:
     schedule: str = "long"
     """What new material with the layout "structure" spends. "long": steps on the two-point function
     in a direction for every band of distances, as recipes and models have it that do not name it.
-    "short": about a third of the time, with more handles; steps in one direction, on the torus,
+    "short": a third to half of the time, with more handles; steps in one direction, on the torus,
     fewer sliced rounds, sweeps and tries."""
 
     first_rounds: int = 20
