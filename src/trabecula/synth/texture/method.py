@@ -275,7 +275,7 @@ class TextureModel(Model):
             levels = " and ".join(f"{self._level_of(one):g}" for one in scan.thresholds)
             notify(f"the grey values tell {scan.count} phases, split at {levels}")
         structures = [image.values for image in labels]
-        products = way == "told"
+        products = way == "found"
         targets = self._histograms_by_phase(structures, scan.count) if products else ()
 
         def match(votes: np.ndarray, structure: np.ndarray) -> np.ndarray:
