@@ -45,9 +45,9 @@ class TextureConfig:
     it."""
 
     scan_phases: str = "found"
-    """What new grey values and colours are painted on. "found": on two phases, or on three where the
-    scan's gradients tell so many, with levels that know thin bodies from thick ones. "two": on two,
-    split by Otsu's threshold, as recipes and models have it that do not name it."""
+    """What new grey values and colours are painted on. "found": on two phases, or on three where
+    the scan's gradients tell so many, with levels that know thin bodies from thick ones. "two": on
+    two, split by Otsu's threshold, as recipes and models have it that do not name it."""
 
     schedule: str = "short"
     """What new material with the layout "structure" spends. "short": each step on the two-point
