@@ -403,16 +403,14 @@ def _stress_directions(
 
     stress = fields.principal_stress(field, chosen, **given)
     width, ways = _number(options.smooth, "--smooth"), stress.direction
-    if width or options.shape is not None:
-        found = fields.continue_directions(ways)
-        if width:
-            found = fields.smooth_directions(ways, sigma=width, weights=np.abs(stress.stress))
-            found = fields.continue_directions(found)
-        if options.shape is not None:
-            sides = shared.integers(options.shape, name="--shape")
-            found = fields.resample_directions(found, sides)
-        ways = found.values
-    shared.note_directions(ways, None)
+    inside = ways.any(axis=-1)
+    if width:
+        found = fields.smooth_directions(ways, sigma=width, weights=np.abs(stress.stress))
+        ways = np.where(inside[..., None], found.values, 0)
+    if options.shape is not None:
+        sides = shared.integers(options.shape, name="--shape")
+        ways = fields.resample_directions(fields.continue_directions(ways), sides).values
+    shared.note_directions(ways, inside if options.shape is None else None)
     return ways
 
 

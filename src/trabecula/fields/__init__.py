@@ -7,6 +7,7 @@ it has the result's shape. `windowed` returns the descriptors of every window as
 
 from collections.abc import Callable
 
+from trabecula.core.directions import Directions
 from trabecula.core.image import Image
 from trabecula.fields.density import density_like
 from trabecula.fields.directions import (
@@ -52,6 +53,7 @@ FROM_NOTHING: dict[str, Callable[..., Image]] = {
 __all__ = [
     "FROM_AN_IMAGE",
     "FROM_NOTHING",
+    "Directions",
     "PrincipalStress",
     "case",
     "continue_directions",
