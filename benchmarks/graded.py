@@ -272,6 +272,7 @@ def graded_seams() -> None:
     images: list[tuple[str, tb.Image]] = []
     for name, settings in (("quilt", {}), ("quilt, first that fits", {"seams": 1})):
         images.append((name, tb.method("quilt", patch=20, **settings).fit(bone).generate(request)))
+    images.append(("texture", tb.method("texture").fit(bone).generate(request)))
     for name, values in (
         ("held out, a", scan.values[:48, :96, 10:190]),
         ("held out, b", scan.values[-48:, -96:, 10:190]),

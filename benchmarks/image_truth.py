@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 import trabecula as tb
-from common import asked, table
+from common import asked, busy, table
 from descriptors import scans
-from image import draw, made, side_of
+from image import draw, made, makers, side_of
 from trabecula.core.checks import check_name
 from trabecula.exemplar.views import PLANES
 from trabecula.measure.correlation import axis_preference, covariance_form, two_point
@@ -22,6 +22,12 @@ from trabecula.report.planes import take_slices
 SCANS = ("Berea", "bone a", "NMC", "cement, Otsu", "cathode, coarse")
 SEVERAL = ("bone a",)
 """Scans that differ by direction: made from one picture a plane as well."""
+
+RELATIVES = {"bone a": "bone b"}
+"""Scans of similar materials; of another scan the relative is the part of it behind the picture."""
+
+BEHIND = 8
+"""Planes between the picture and that part."""
 
 REACH = 32
 BOX = 64
@@ -86,7 +92,8 @@ def image_truth() -> None:
     own beside it. Euler is per 1e6 voxels, k the permeability in voxels^2 of the centre 64^3, mean
     of the axes. `axes` is `axis_preference`. The scan's rows are of its first and last 96^3. Of a
     scan that differs by direction, rows with `3 views` are made from the middle slices of all
-    planes.
+    planes. `kopf, like` has a relative in space: another scan (bone b for bone a), or the part of
+    the same scan behind the picture.
     """
     side = side_of(96)
     heads = ("S2 radial", "S2 worst axis", "S2 diagonal", "axes", *figures_heads(), "s")
@@ -105,7 +112,22 @@ def image_truth() -> None:
                 elif method != "gaussian" or not words:  # it knows the first picture alone
                     volumes[method + words] = volume
                     _row(row, f"{name}: {method}{words}", truth, volume, f"{seconds:.1f}")
+            if "kopf" in makers("labels"):
+                seconds, volume = _made_like(name, plain, images, side)
+                volumes["kopf, like" + words] = volume
+                _row(row, f"{name}: kopf, like{words}", truth, volume, f"{seconds:.1f}")
         draw(f"truth {name}", middle[: 3 if name in SEVERAL else 1], volumes)
+
+
+def _made_like(
+    name: str, scan: tb.Image, images: Sequence[tb.Image], side: int
+) -> tuple[float, tb.Image]:
+    """Seconds, and a volume from pictures beside a relative."""
+    other = scans().get(RELATIVES.get(name, ""))
+    values = scan.values[len(scan.values) // 2 + BEHIND :] if other is None else other.values
+    relative = tb.Image(np.ascontiguousarray(values), "labels", phases=scan.phases)
+    model = tb.method("kopf").fit(list(images))
+    return busy(lambda: model.generate(side, seed=0, like=relative))
 
 
 def figures_heads() -> Sequence[str]:

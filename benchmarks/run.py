@@ -32,6 +32,7 @@ import gan_ablation
 import gan_paper
 import gan_weights
 import graded
+import graded_bone
 import image
 import image_figures
 import image_paper
@@ -128,6 +129,7 @@ CASES: dict[str, Callable[[], None]] = {
     "graded_cells": graded.graded_cells,
     "graded_section": graded.graded_section,
     "graded_bone": graded.graded_bone,
+    "graded_bone_fields": graded_bone.graded_bone_fields,
     "graded_seams": graded.graded_seams,
     "graded_speed": graded.graded_speed,
     "oriented": oriented.oriented,
@@ -148,6 +150,7 @@ CASES: dict[str, Callable[[], None]] = {
     "papers": papers.papers,
     "view_still": view.view_still,
     "view_page": view.view_page,
+    "view_large": view.view_large,
     "stills": stills.stills,
     "stills_noise": stills.stills_noise,
     "photographs": photographs.photographs,

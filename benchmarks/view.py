@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -31,6 +32,14 @@ _HOLD = (
     "new Promise((done) => { const wait = () => "
     "(app.passes >= 4 ? done(0) : setTimeout(wait, 50)); wait(); })"
 )
+
+_SETTLED = """new Promise((done) => {
+  const wait = () => {
+    const [volume] = app.volumes, came = app.cameras[0].zoom === 1 || volume.fine;
+    return app.passes >= 4 && came ? done(0) : setTimeout(wait, 100);
+  };
+  wait();
+})"""
 
 
 def bone(side: int) -> tb.Image:
@@ -101,6 +110,50 @@ def view_page() -> None:
                 )
 
 
+def view_large(side: int = 1024) -> None:
+    """Bone of 1024^3 in a Zarr store, served and looked at closely: seconds, and the memory of the
+    page over that of an empty browser.
+    """
+    import chromium
+
+    from trabecula.io.lazy import open_slabs
+    from trabecula.view.page.server import PageServer
+
+    if chromium.find_browser() is None:
+        tell(chromium.MISSING)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        store = tb.write(bone(side), Path(folder) / "bone.zarr")
+        start = time.process_time()
+        page = tb.view(open_slabs(store))
+        assert page.live is not None and page.live.boxes is not None
+        tell("page made, processor s", f"{time.process_time() - start:.1f}")
+        start = time.process_time()
+        page.live.boxes(0, 4, (100,) * 3, (48,) * 3)
+        tell("box of 192^3, processor s", f"{time.process_time() - start:.1f}")
+        browser = chromium.Chromium()
+        try:
+            with PageServer(page.live.html, boxes=page.live.boxes) as server:
+                threading.Thread(target=server.serve_forever, daemon=True).start()
+                browser.open("about:blank", size=(560, 480))
+                empty = _memory(browser)
+                tab = browser.open(server.url, size=(560, 480))
+                tell("first picture, s by the clock", f"{tab.run(_READY) / 1000:.1f}")
+                for zoom, what in ((1, "whole"), (6, "box of finer voxels")):
+                    tab.run(f"app.cameras[0].zoom = {zoom}; app.redraw()")
+                    tab.run(_SETTLED)
+                    tab.call("HeapProfiler.collectGarbage")
+                    tell(f"MB with the {what}", f"{(_memory(browser) - empty) / 1e6:.0f}")
+                server.shutdown()
+        finally:
+            browser.close()
+
+
+def _memory(browser) -> int:
+    kinds = ("renderer", "gpu-process")
+    return sum(size for kind, size, _ in browser.processes() if kind in kinds)
+
+
 def _opened(volume: tb.Image, folder: str) -> dict:
     """What a fresh browser tells of a page with that volume."""
     import chromium
@@ -113,10 +166,7 @@ def _opened(volume: tb.Image, folder: str) -> dict:
         tab.run(_SQUARE)
         tab.run(_HOLD)
         tab.call("HeapProfiler.collectGarbage")
-        memory = sum(
-            size for kind, size, _ in browser.processes() if kind in ("renderer", "gpu-process")
-        )
-        found = {"size": path.stat().st_size, "first": first, "memory": memory}
+        found = {"size": path.stat().st_size, "first": first, "memory": _memory(browser)}
         if volume.values.size > 1000:
             for name, options in (("whole", ""), ("plain", "skip: false"), ("half", "scale: 0.5")):
                 found[name] = _measured(browser, tab, options)

@@ -19,8 +19,10 @@ def draw_network(folder: Path) -> str:
     foam = tb.crop(tb.sample("foam"), 64)
     net = tb.measure.network(foam)
     sheet = Image.new("RGB", (2 * _SIDE + 20, _SIDE), _WHITE)
-    sheet.paste(_slice(net), (0, 0))
-    sheet.paste(_balls(net), (_SIDE + 20, 0))
+    panels = {"network-pores": _slice(net), "network-balls": _balls(net)}
+    for number, (name, panel) in enumerate(panels.items()):
+        sheet.paste(panel, (number * (_SIDE + 20), 0))
+        panel.save(folder / f"{name}.png")
     sheet.save(folder / "network.png")
     return _SECTION.format(pores=len(net), throats=len(net.throats))
 
@@ -73,7 +75,9 @@ _SECTION = """## A pore network
 The void of 64^3 of `sample:foam`: left the middle slice, every pore in a colour, right its
 {pores} pores (balls of .6 times their radius) and {throats} throats. [How](../howto/networks.md).
 
-![a slice with pores in colours, and the network](network.png)
+| pores in a slice | the network |
+| --- | --- |
+| ![a slice with pores in colours](network-pores.png) | ![pores and throats](network-balls.png) |
 
 ```sh
 trabecula network sample:foam --crop 64 --out network.vtp

@@ -22,7 +22,7 @@ from trabecula.view.slices import montage
 
 _SIDE = 120  # voxels of what is made for a picture
 _SEED = 7
-_THUMBNAIL = (320, 240)
+_THUMBNAIL = (320, 256)
 _LOOK_OF = {"bone": "bone", "foam": "foam"}
 
 
@@ -63,11 +63,11 @@ def _split(text: str) -> list[str]:
 
 
 def _thumbnail(picture: Path, place: Path) -> None:
-    """Write the left end of a picture as a thumbnail of 4 to 3."""
+    """Write the left end of a picture as a thumbnail of 5 to 4."""
     with Pillow.open(picture) as opened:
         image = opened.convert("RGB")
-    wide = min(image.width, image.height * 4 // 3)
-    image.crop((0, 0, wide, wide * 3 // 4)).resize(_THUMBNAIL, Pillow.Resampling.LANCZOS).save(
+    wide = min(image.width, image.height * 5 // 4)
+    image.crop((0, 0, wide, wide * 4 // 5)).resize(_THUMBNAIL, Pillow.Resampling.LANCZOS).save(
         place
     )
 

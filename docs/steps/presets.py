@@ -23,7 +23,7 @@ _LOAVES = {"bread": (116, 128, 176), "baguette": (88, 104, 232)}
 """Presets that are shown as a loaf, with its sides; of the others a block."""
 
 
-_SECTION = """## {preset}, by {method}
+_SECTION = """## {title}, by {method}
 
 Made without an exemplar, in the look of its name or one near to it: a still, and a slice. The
 settings of the preset are on [the method's page](../methods/{method}.md).
@@ -70,6 +70,7 @@ def _section(method: str, preset: str) -> str:
     return _SECTION.format(
         method=method,
         preset=preset,
+        title=preset.capitalize(),
         look=_look(preset),
         shape=" ".join(map(str, _LOAVES.get(preset, _SIDES))),
         seed=_SEED,

@@ -205,6 +205,22 @@ def test_a_coarse_scan_and_a_picture_make_a_volume_that_is_made_again(place):
 
 
 @pytest.mark.whole
+def test_a_relative_and_a_picture_make_a_volume_that_is_made_again(place):
+    bone = tb.crop(tb.sample("bone"), 40)
+    tb.write(tb.Image(bone.values, "labels", bone.spacing, bone.unit, bone.phases), "bone.tif")
+    voxel = (bone.spacing[1:], bone.unit, bone.phases)
+    tb.write(tb.Image(bone.values[20], "labels", *voxel), "slice.tif")
+    words = ("--method", "kopf", "--shape", 24, "--like", "bone.tif", "--out", "made.tif")
+    output = trabecula("generate", "slice.tif", *words)
+    made = tb.read("made.tif")
+    assert made.shape == (24, 24, 24) and made.spacing == bone.spacing
+    assert made.recipe.steps[-1]["report"]["like"]["scale"][0] == pytest.approx(1, abs=0.3)
+    (place / "bone.tif").rename(place / "other.tif")
+    assert "give its place with --like" in refused("rerun", "made.tif")
+    assert trabecula("rerun", "made.tif", "--like", "other.tif").sha256 == output.sha256
+
+
+@pytest.mark.whole
 def test_a_grey_scan_is_fixed_at_the_exemplars_threshold(place):
     rng = np.random.default_rng(0)
     solid = tb.read("scan.zarr").values
@@ -343,6 +359,7 @@ BAD = [
     (("--shape", 56, "--coarse", "known.tif", "--periodic"), "coarse beside periodic"),
     (("--shape", 60, "--coarse", "full.npy"), "the coarse scan holds one value only"),
     (("--shape", 56, "--coarse", "known.tif"), "cannot honour coarse"),
+    (("--shape", 56, "--like", "known.tif"), "cannot honour like"),
     (("--shape", 20, "--periodic", "w"), "--periodic w: name axes among z, y, x"),
     (("--shape", 20, "--periodic", "z", "other.zarr"), "a file comes before --periodic"),
     ((), "the size of the result is not given: add --shape N"),

@@ -304,6 +304,13 @@ def _texture_graded() -> tb.Image:
     return model("texture").generate(SHAPE, seed=6, target={"porosity": ramp(0.7, 0.9)})
 
 
+@case("texture-graded-shift")
+def _texture_graded_shift() -> tb.Image:
+    settings = {**QUICK["texture"], "grading": "shift", "connected": "none"}
+    learned = tb.method("texture", **settings).fit(bone(24))
+    return learned.generate(SHAPE, seed=6, target={"porosity": ramp(0.7, 0.9)})
+
+
 @case("texture-default")
 def _texture_default() -> tb.Image:
     return tb.method("texture").fit(bone(24)).generate(SHAPE, seed=6)

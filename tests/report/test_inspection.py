@@ -202,6 +202,18 @@ def test_what_is_recommended_can_learn_from_it():
         tb.method(found.method, preset=found.preset, **found.settings).fit(image)
 
 
+def test_a_target_field_has_a_method_of_its_own():
+    random = gaussian_field(0, shape=32)
+    assert recommend(random, graded=["porosity"]).method == "texture"
+    assert recommend(random, graded=["porosity", "euler"]).method == "quilt"
+    regular = recommend(lattice(), graded=["volume_fraction"])
+    assert regular.method == "quilt" and regular.settings == {"orientations": "all"}
+    three = random.values.copy()
+    three[:4] = 2
+    several = tb.Image(three, "labels")
+    assert recommend(several, graded=["porosity"]).method == "quilt"
+
+
 def test_too_small():
     found = inspect(gaussian_field(0, shape=20, length=2.0))
     assert (

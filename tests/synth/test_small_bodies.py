@@ -6,7 +6,7 @@ from scipy import ndimage
 
 import trabecula as tb
 from trabecula.synth.shared.content.fields import FULL, UNIT
-from trabecula.synth.texture.small_bodies import (
+from trabecula.synth.shared.small_bodies import (
     SmallBodies,
     learn_small_bodies,
     settle_small_bodies,

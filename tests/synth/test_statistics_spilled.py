@@ -11,6 +11,7 @@ from trabecula.core.seeds import key
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.cluster import ReferencedFiles
 from trabecula.engine.memory import check_releases
+from trabecula.synth.shared import novel_layout
 from trabecula.synth.shared.content.fields import FULL, noise, votes_of
 from trabecula.synth.shared.content.kinds import Labels
 from trabecula.synth.shared.matching.region import Region
@@ -31,7 +32,6 @@ from trabecula.synth.shared.statistics.two_point_steps import (
 from trabecula.synth.sliced import run
 from trabecula.synth.sliced.run import regions_around_known
 from trabecula.synth.sliced.steps import distance_stages, distance_step, slope
-from trabecula.synth.texture import novel_layout
 from trabecula.testing.peak import peak_bytes
 
 OPEN, AROUND, MIXED = (False, False, False), (True, True, True), (True, False, True)
@@ -291,7 +291,7 @@ def test_new_material_is_the_same_in_scratch_files(model, whole, tmp_path):
 @pytest.mark.parametrize(
     ("owner", "name", "call", "left"),
     [
-        (novel_layout, "transport_neighbourhoods", 13, 8),
+        (novel_layout, "transport_neighbourhoods", 13, 18),
         (novel_layout, "coherent_search", 6, 2),
         (novel_layout, "coherent_search", 7, 1),
         (Labels, "to_values", 1, 4),  # three counts of small bodies before the result

@@ -6,7 +6,7 @@ from texture_runs import check_in_files
 
 import trabecula as tb
 from trabecula.engine import checkpoint
-from trabecula.synth.texture import novel_layout
+from trabecula.synth.shared import novel_layout
 from trabecula.testing.peak import peak_bytes
 
 SHAPE = (48, 32, 33)

@@ -11,10 +11,10 @@ from trabecula.errors import RequestError
 from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.novel_layout import with_histograms
 from trabecula.synth.shared.statistics.two_point import soft_indicator
 from trabecula.synth.texture.graded import FractionTarget, carry_over, settle_fractions
 from trabecula.synth.texture.method import Texture
-from trabecula.synth.texture.novel_layout import with_histograms
 from trabecula.testing.peak import peak_bytes
 
 SHAPE = (72, 36, 36)

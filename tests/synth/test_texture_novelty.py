@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 import trabecula as tb
 from trabecula.core.seeds import key
+from trabecula.synth.shared import novel_layout
 from trabecula.synth.shared.content.fields import FULL, UNIT, phase_fields, quantise
 from trabecula.synth.shared.statistics.pairs import AXES, DIAGONAL, Pairs
 from trabecula.synth.shared.statistics.sliced import rotation, transport_neighbourhoods
 from trabecula.synth.shared.statistics.slices import Transport, slice_target
 from trabecula.synth.shared.statistics.two_point import correlations_of
 from trabecula.synth.shared.statistics.two_point_steps import least_squares, misfit, two_point_step
-from trabecula.synth.texture import novel_layout
 
 OPEN, AROUND = (False, False, False), (True, True, True)
 HARD = 1e-3  # a soft step so narrow that the indicator is that of labels

@@ -388,3 +388,136 @@ def test_the_served_page_is_drawn_and_loads_nothing_else(browser):
         assert tab.errors == []
         tab.close()
         server.shutdown()
+
+
+@pytest.mark.whole
+def test_the_probe_reads_local_thickness_and_the_slices_are_linked(show):
+    image = foam(20)
+    tab = show(image, size=(620, 500))
+    for phase in ("solid", "void"):
+        thick = tb.measure.local_thickness(image, phase=phase)
+        for z, y, x in np.argwhere(thick > 0)[::731]:
+            said = tab.run(f"app.reading(0, [{x}, {y}, {z}])")
+            assert f"{phase} (label" in said and f"at z, y, x {z}, {y}, {x}" in said
+            assert float(said.split("thickness ")[1].split()[0]) == pytest.approx(
+                thick[z, y, x], rel=1e-3
+            )
+    # a press on the slice across z sets y and x, which the other slices follow
+    place = tab.run(
+        "(() => { const r = document.querySelector('#slices canvas').getBoundingClientRect();"
+        "return [r.x + r.width * 0.125, r.y + r.height * 0.825]; })()"
+    )
+    tab.mouse("mousePressed", *place)
+    tab.mouse("mouseReleased", *place)
+    assert tab.run("app.focusVoxel()") == [2, 16, 10]
+    assert tab.run("[...document.querySelectorAll('#slices input')].map((i) => i.value)") == [
+        "10", "16", "2",
+    ]  # fmt: skip
+    assert "at z, y, x 10, 16, 2" in tab.run("document.getElementById('probe').textContent")
+
+
+@pytest.mark.whole
+def test_the_tape_measures_between_two_presses(show):
+    tab = show(tb.Image(np.ones((10, 10, 10), np.uint8), "labels", 2, "mm"), size=(620, 500))
+    tab.run(
+        "app.setCut('none'); app.homeAngles.azimuth = app.homeAngles.elevation = 0; app.home(); "
+        "document.getElementById('tape').click()"
+    )
+    canvas(tab)
+    x, y = middle_of(tab, "#picture")
+    pixel = tab.run("app.cells[0].pixel")
+    for place in ((x - 40, y), (x + 40, y + 30)):
+        tab.mouse("mousePressed", *place)
+        tab.mouse("mouseReleased", *place)
+    assert tab.run("app.tape.length()") == pytest.approx(50 * np.sqrt(3.56) * pixel, rel=0.25)
+    assert tab.run("app.tape.length()") == pytest.approx(np.hypot(80, 30) * pixel, rel=0.03)
+    assert "mm" in tab.run("document.querySelector('.tape text').textContent")
+
+
+@pytest.mark.whole
+def test_the_address_brings_the_same_picture_and_names_what_it_does_not_know(show, browser):
+    tab = show(foam())
+    first = canvas(tab)
+    assert tab.run("location.hash") == ""
+    tab.run(
+        "app.cameras[0].azimuth = 70; app.cut.at = [0.25, 0.5, 0.75]; app.setLook('stone'); "
+        "app.volumes[0].phases[1].colour = [200, 60, 60]; app.redraw()"
+    )
+    picture = canvas(tab)
+    assert apart(picture, first) > 1
+    tab.run("new Promise((done) => setTimeout(done, 50))")
+    words = tab.run("location.hash")
+    assert "look=stone" in words and "at=0.25,0.5,0.75" in words
+    again = browser.open(tab.run("location.href") + "&nonsense=1&camera0=1,2", size=WINDOW)
+    again.run(READY)
+    assert apart(canvas(again), picture) == 0
+    said = again.run("document.getElementById('message').innerText")
+    assert "nonsense" in said
+    assert again.errors == []
+    again.close()
+
+
+@pytest.mark.whole
+def test_a_field_colours_as_in_a_still_and_a_lost_card_comes_back(show):
+    image = foam(24)
+    field = tb.Image(tb.measure.local_thickness(image), "grey", 20, "um")
+    tab = show(image, fields={"thickness": field})
+    page = canvas(tab)
+    still = tb.render(image, size=stage(tab), field=field).values.astype(int)
+    assert apart(page[:-60], still[:-60]) < 1.5
+    assert "thickness" in tab.run("document.querySelector('.legend').textContent")
+    tab.run("window.card = app.drawing.gl.getExtension('WEBGL_lose_context'); card.loseContext()")
+    wait = "new Promise((done) => setTimeout(done, 100))"
+    tab.run(wait)
+    assert "graphics card" in tab.run("document.getElementById('message').innerText")
+    tab.run(f"card.restoreContext(); {wait}")
+    assert apart(canvas(tab), page) == 0
+    assert tab.run("document.getElementById('message').hidden")
+
+
+@pytest.mark.whole
+def test_finer_voxels_come_from_the_server_where_one_zooms_in(browser, monkeypatch):
+    import threading
+
+    from trabecula.view.page import fitting
+
+    monkeypatch.setattr(fitting, "LARGEST", 16**3)
+    grid = np.mgrid[:32, :32, :32]
+    wall = np.abs(grid[2] + 0.3 * grid[1] - 20) < 1.2
+    image = tb.Image(wall.astype(np.uint8), "labels")
+    page = tb.view(image)
+    with PageServer(page.live.html, boxes=page.live.boxes) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        tab = browser.open(server.url, size=(260, 300))
+        tab.run(READY)
+        tab.run("app.setCut('none'); app.volumes[0].detail = false; app.takeDetail(0, null)")
+        coarse = canvas(tab)
+        tab.run("app.volumes[0].detail = true; app.volumes[0].asked = null; app.redraw()")
+        tab.run(
+            "new Promise((done) => { const wait = () => "
+            "(app.volumes[0].fine ? done(0) : setTimeout(wait, 20)); wait(); })"
+        )
+        fine, still = canvas(tab), tb.render(image, size=stage(tab), cut="none").values.astype(int)
+        drawn = [(np.abs(one - one[0, 0]).max(axis=-1) > 12)[:-40] for one in (coarse, fine, still)]
+        assert drawn[0].mean() > 0.5 * drawn[2].mean()
+        assert (drawn[1] != drawn[2]).mean() < 0.7 * (drawn[0] != drawn[2]).mean()
+        assert tab.errors == []
+        tab.close()
+        server.shutdown()
+
+
+@pytest.mark.whole
+def test_the_refined_light_is_like_the_quick_one_but_softer(show):
+    tab = show(foam(16), size=(180, 220))
+    quick = canvas(tab)
+    tab.run("app.rest = 'refined'; app.redraw()")
+    tab.run(
+        "new Promise((done) => { const wait = () => "
+        "(app.passes >= app.passesAtRest ? done(0) : setTimeout(wait, 50)); wait(); })"
+    )
+    refined = canvas(tab)
+    ground = np.abs(quick - quick[0, 0]).max(axis=-1) > 12
+    assert np.abs(refined[~ground] - quick[~ground]).mean() < 2
+    assert 1 < np.abs(refined[ground] - quick[ground]).mean() < 45
+    assert refined[ground].mean() == pytest.approx(quick[ground].mean(), rel=0.15)
+    assert "rest=refined" in tab.run("location.hash")

@@ -48,7 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="instead of all else: resume the interrupted run that makes FILE; what it started "
         "from is looked for "
-        "where it was, or given with --exemplar, --model, --mask, --fixed, --known, --coarse",
+        "where it was, or given with --exemplar, --model, --mask, --fixed, --known, --coarse, "
+        "--like",
     )
     group.add_argument(
         "--exemplar",
@@ -438,7 +439,7 @@ def _make_members(options: argparse.Namespace, count: int, spread: float, cluste
     return 0
 
 
-_MOVED = ("exemplar", "mask", "fixed", "known", "coarse", "model")
+_MOVED = ("exemplar", "mask", "fixed", "known", "coarse", "like", "model")
 
 
 def _resume(options: argparse.Namespace) -> Any:

@@ -31,7 +31,7 @@ def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, 
     plain = preset is None and not settings
     if not plain and exemplars[0].ndim == 3:
         return method("texture", preset=preset, **settings), ""
-    found = recommend(crop_margins(exemplars[0]))
+    found = recommend(crop_margins(exemplars[0]), graded=_graded(options))
     if found.method is None:
         raise InputError(f"no method was named, and none fits: {found.reason}")
     if plain:
@@ -39,6 +39,20 @@ def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, 
     with_preset = f" --preset {preset}" if plain and preset else ""
     line = f"method {found.method}{with_preset} (recommended: {found.reason})"
     return method(found.method, preset=preset, **settings), line
+
+
+def _graded(options: argparse.Namespace) -> list[str]:
+    """List the names of the targets that are files of fields."""
+    pairs = (pair.partition("=") for pair in getattr(options, "target", None) or ())
+    return [name for name, _, value in pairs if not _is_number(value)]
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def check_fits(method: Any, exemplars: list[Any]) -> None:

@@ -161,6 +161,12 @@ def add_parts(parser: argparse.ArgumentParser) -> None:
         "it is down-sampled; the exemplar is a picture at the result's resolution",
     )
     group.add_argument(
+        "--like",
+        metavar="RELATIVE",
+        help="3-D scan of a similar material, or sample:NAME: what the picture that is the "
+        "exemplar does not show (joins, loops, thickness in space) is taken from it",
+    )
+    group.add_argument(
         "--target",
         action="append",
         default=[],
@@ -193,13 +199,14 @@ def load_parts(
     shape: tuple[int, ...] | None,
     views: Any = (),
 ) -> dict[str, Any]:
-    """Load mask, fixed, known, coarse and target of a request from their files; `views` are the
-    planes of pictures. Where a coarse scan alone says the shape, that is returned as "shape".
+    """Load mask, fixed, known, coarse, like and target of a request from their files; `views` are
+    the planes of pictures. Where a coarse scan alone says the shape, that is returned as "shape".
     """
     from trabecula.pipeline.inputs import (
         load_coarse,
         load_fixed,
         load_mask,
+        load_relative,
         refined_shape,
         voxels_of,
     )
@@ -239,6 +246,8 @@ def load_parts(
         if shape is None:
             edges = voxels_of(exemplars, views)
             found["shape"] = refined_shape(found["coarse"], edges, exemplar.unit)
+    if options.like is not None:
+        found["like"] = load_relative(options.like, exemplar)
     return found
 
 

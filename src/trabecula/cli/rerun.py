@@ -11,7 +11,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--exemplar", nargs="+", metavar="FILE", help="the recipe's first files, if they have moved"
     )
-    for part in ("mask", "fixed", "known", "coarse", "target"):
+    for part in ("mask", "fixed", "known", "coarse", "like", "target"):
         parser.add_argument(
             f"--{part}", metavar="FILE", help=f"the file that was --{part}, if it has moved"
         )
@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
 
     moved = {
         name: getattr(options, name)
-        for name in ("exemplar", "mask", "fixed", "known", "coarse", "target", "model")
+        for name in ("exemplar", "mask", "fixed", "known", "coarse", "like", "target", "model")
     }
     image = rerun(options.file, **moved)
     print(f"{options.file}: the same voxels\nsha256 {digest(image.values)}")

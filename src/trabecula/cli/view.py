@@ -35,6 +35,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "each but the first",
     )
     parser.add_argument(
+        "--field",
+        action="append",
+        default=[],
+        metavar="NAME=FILE",
+        help="a field (trabecula field) that may colour the FILE of its shape, and that the probe "
+        "reads; again for more",
+    )
+    parser.add_argument(
         "--port", default="0", metavar="N", help="of 127.0.0.1 (default: a free one)"
     )
     parser.add_argument(
@@ -48,8 +56,8 @@ def run(options: argparse.Namespace) -> int:
     """Make the page; write it, or serve it until interrupted."""
     from trabecula.cli import terminal
     from trabecula.pipeline.certificate_page import check_page
-    from trabecula.view.page import server, view
-    from trabecula.view.page.fitting import forecast
+    from trabecula.pipeline.inputs import load
+    from trabecula.view.page import view
 
     if options.html:
         check_page(options.html)
@@ -57,18 +65,33 @@ def run(options: argparse.Namespace) -> int:
     certificate = _certificate(options.certificate) if options.certificate else None
     # Greys are shown as they are, unless a threshold is given.
     options.threshold = options.threshold or "none"
-    images = [
-        view_input.load_for_view(file, options, need=lambda *volume: forecast(*volume).peak)
-        for file in options.files
-    ]
+    fields = {name: load(file, threshold="none") for name, file in map(_field_words, options.field)}
+    images = [_load(file, options) for file in options.files]
     names = [Path(file).name for file in options.files]
-    page = view(*images, names=names, look=options.look, certificate=certificate)
+    page = view(*images, names=names, look=options.look, certificate=certificate, fields=fields)
     if options.html:
         page.save(options.html)
         print(f"{options.html}: {len(page.html) / 1e6:.1f} MB")
         return 0
-    server.serve(page.html, port=port, browser=not options.no_browser, tell=terminal.note)
+    page.show(port=port, browser=not options.no_browser, tell=terminal.note)
     return 0
+
+
+def _load(file: str, options: argparse.Namespace) -> Any:
+    """Load a volume; labels in a store that a tab does not hold are read as they are needed."""
+    from trabecula.view.page.fitting import forecast
+
+    slabs = view_input.slabs_for_page(file, options)
+    if slabs is not None:
+        return slabs
+    return view_input.load_for_view(file, options, need=lambda *volume: forecast(*volume).peak)
+
+
+def _field_words(text: str) -> tuple[str, str]:
+    name, sign, file = text.partition("=")
+    if not (sign and name and file):
+        raise InputError(f"--field {text}: write NAME=FILE, such as thickness=thickness.npy")
+    return name, file
 
 
 def _certificate(path: str) -> Any:

@@ -31,6 +31,27 @@ def load_for_view(
     return shared.load_exemplar(source, argparse.Namespace(**{**vars(options), "halvings": level}))
 
 
+def slabs_for_page(source: str, options: argparse.Namespace) -> Any:
+    """Open a store of labels of more voxels than a page draws, to be read in part; None where it is
+    small, of another kind, or where a box or a level is asked for.
+    """
+    from contextlib import suppress
+    from math import prod
+
+    from trabecula.core.errors import InputError
+    from trabecula.io.lazy import open_slabs, volume_shape
+    from trabecula.view.page.fitting import LARGEST
+
+    if options.crop or options.halvings is not None or options.threshold not in (None, "none"):
+        return None
+    shape = volume_shape(source)
+    if shape is None or prod(shape) <= LARGEST:
+        return None
+    with suppress(InputError):  # not labels
+        return open_slabs(source, **shared.reading(options))
+    return None
+
+
 def _box(source: str, options: argparse.Namespace) -> Any:
     """Read the crop of a store of labels that does not fit; None where there is no such crop."""
     from dataclasses import replace

@@ -18,7 +18,7 @@ from trabecula.core.recipe import Recipe
 from trabecula.core.target import Target, as_target, is_field, origins_of
 
 _AXES = "zyx"
-_IMAGES = ("mask", "fixed", "known", "coarse")
+_IMAGES = ("mask", "fixed", "known", "coarse", "like")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +59,14 @@ class Request:
     coarse : Image of labels or grey, (Z / a, Y / b, X / c), optional
         A scan of the same place at a low resolution, a x b x c voxels of the result in each of its
         own: down-sampled, the result is to be this scan. It stands beside shape and seed alone.
+    like : Image of labels, (Z, Y, X), optional
+        A scan of a similar material, of any size: what pictures do not show is taken from it. It
+        stands beside shape, seed and periodic axes alone.
 
     Attributes
     ----------
     origins : mapping of str to Recipe
-        How mask, fixed, known and coarse came to be, for the recipe of the result; fields of
+        How mask, fixed, known, coarse and like came to be, for the recipe of the result; fields of
         `target` as "target.NAME".
     voxel : (tuple of float, str), optional
         Spacing and unit of a mask that is an Image and states them.
@@ -77,7 +80,7 @@ class Request:
         A descriptor that cannot be a target.
     RequestError
         Parts that contradict each other: known voxels at both ends of a periodic axis; a shape that
-        is no whole multiple of a coarse scan's, or another part beside one.
+        is no whole multiple of a coarse scan's, or another part beside one or beside `like`.
 
     Examples
     --------
@@ -97,6 +100,7 @@ class Request:
     fixed: Image | None = None
     known: np.ndarray | None = None
     coarse: Image | None = None
+    like: Image | None = None
     origins: Mapping[str, Recipe] = field(init=False, repr=False, default_factory=dict)
     voxel: tuple[tuple[float, ...], str] | None = field(init=False, default=None)
 
@@ -132,12 +136,13 @@ class Request:
             check_poles(poles, self.mask, name="the target orientation")
         _check_fixed(self)
         _check_coarse(self)
+        _check_like(self)
 
     def asks_for(self) -> frozenset[str]:
         """Return the optional parts of the request that are in use."""
         used = {"periodic": any(self.periodic), "mask": self.mask is not None}
         used |= {"target": bool(self.target), "fixed": self.fixed is not None}
-        used |= {"coarse": self.coarse is not None}
+        used |= {"coarse": self.coarse is not None, "like": self.like is not None}
         return frozenset(name for name, asked in used.items() if asked)
 
     @property
@@ -384,6 +389,27 @@ def _check_coarse(request: Request) -> None:
         raise InputError(
             "the coarse scan holds one value only, and no interface to refine: give one of both "
             "phases (of a grey scan --threshold none keeps its values)"
+        )
+
+
+def _check_like(request: Request) -> None:
+    like = request.like
+    if like is None:
+        return
+    if not isinstance(like, Image):
+        raise InputError(
+            f"like is a plain {type(like).__name__}: give an Image (tb.Image(array, kind='labels'))"
+        )
+    if like.kind != "labels" or like.ndim != 3:
+        raise InputError(
+            f"the relative is {like.kind} of shape {like.shape}: give a 3-D scan of labels "
+            "(a grey one is segmented with tb.segment)"
+        )
+    beside = sorted(request.asks_for() - {"like", "periodic"})
+    if beside:
+        raise RequestError(
+            f"like beside {', '.join(beside)}: a relative goes with shape, seed and periodic axes "
+            f"alone; leave out {beside[0]}"
         )
 
 

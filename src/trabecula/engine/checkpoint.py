@@ -301,6 +301,8 @@ def identity_of(
     }
     if request.coarse is not None:  # named only then: unfinished runs of before resume
         parts["coarse"] = _image_identity(request.coarse)
+    if request.like is not None:
+        parts["like"] = _image_identity(request.like)
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=repr).encode()).hexdigest()
 
 

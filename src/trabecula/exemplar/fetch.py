@@ -7,6 +7,7 @@ import sys
 import urllib.error
 import urllib.request
 from pathlib import Path
+from typing import Any, BinaryIO
 from urllib.parse import unquote, urlsplit
 
 from trabecula.core.checks import check_name
@@ -97,9 +98,14 @@ def _name_at_source(entry: DataSet) -> str:
 
 def _read(entry: DataSet, path: Path) -> Image:
     """Read a file and compare its voxels with what is known of them."""
-    named = {"phases": entry.phases} if entry.phases else {}
     try:
-        image = files.read(path, kind=entry.kind, spacing=entry.spacing, unit=entry.unit, **named)
+        image = files.read(
+            path,
+            kind=entry.kind,
+            spacing=entry.spacing,
+            unit=entry.unit,
+            phases=entry.phases or None,
+        )
         if image.shape != entry.shape and len(image.shape) == len(entry.shape):
             image = crop(image, entry.shape, corner=(0,) * len(entry.shape))
     except TrabeculaError as error:
@@ -134,7 +140,7 @@ def _download(entry: DataSet) -> Path:
     return path
 
 
-def _copy(source, file, entry: DataSet) -> None:
+def _copy(source: Any, file: BinaryIO, entry: DataSet) -> None:
     """Copy a download, with its progress."""
     size = int(source.headers.get("Content-Length") or 0)
     done = 0

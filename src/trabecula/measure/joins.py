@@ -129,18 +129,13 @@ def _spread_owners(
     last = np.ones(owner.shape[:2], np.int32)  # sweep in which a row changed
     while changed[0]:
         changed[0], number = False, number + 2
-        parts = (owner, far, open_to, wraps, cost, last)
 
-        def forward(
-            start: int, stop: int, parts: tuple[np.ndarray, ...] = parts, at: int = number - 1
-        ) -> None:
-            changed[0] |= bool(_sweep(*parts, at, 1, start, stop))
+        def forward(start: int, stop: int, at: int = number - 1) -> None:
+            changed[0] |= bool(_sweep(owner, far, open_to, wraps, cost, last, at, 1, start, stop))
 
-        def backward(
-            start: int, stop: int, parts: tuple[np.ndarray, ...] = parts, at: int = number
-        ) -> None:
+        def backward(start: int, stop: int, at: int = number) -> None:
             first, end = depth - stop, depth - start
-            changed[0] |= bool(_sweep(*parts, at, -1, first, end))
+            changed[0] |= bool(_sweep(owner, far, open_to, wraps, cost, last, at, -1, first, end))
 
         in_order(forward, depth)
         in_order(backward, depth)

@@ -332,6 +332,22 @@ def load_coarse(source: str | os.PathLike[str], exemplar: Image) -> Image:
     return declare_fields(scan, phases=new["phases"]) if "phases" in new else scan
 
 
+def load_relative(source: str | os.PathLike[str], exemplar: Image) -> Image:
+    """Load a scan of a similar material, for `Request.like`; a grey one is segmented where the
+    exemplar has phases.
+
+    Where its file names no phases it has the exemplar's.
+
+    Raises
+    ------
+    FileError, UnknownNameError
+        As `load`.
+    """
+    scan = load(source, threshold="auto" if exemplar.kind == "labels" else "none")
+    new = _find_unstated(scan, exemplar, None) if scan.kind == "labels" else {}
+    return declare_fields(scan, phases=new["phases"]) if "phases" in new else scan
+
+
 def refined_shape(scan: Image, spacing: Sequence[float], unit: str) -> tuple[int, ...]:
     """Return the voxels of a size that a low-resolution scan holds along each axis.
 

@@ -35,7 +35,7 @@ from trabecula.synth.api.serialize import load_model
 from trabecula.view.still import render
 
 AnyPath = str | os.PathLike[str]
-PARTS = ("mask", "fixed", "known", "coarse")
+PARTS = ("mask", "fixed", "known", "coarse", "like")
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,7 @@ def rerun(
     fixed: AnyPath | None = None,
     known: AnyPath | None = None,
     coarse: AnyPath | None = None,
+    like: AnyPath | None = None,
     target: AnyPath | None = None,
     model: AnyPath | None = None,
 ) -> Image:
@@ -103,7 +104,7 @@ def rerun(
     exemplar : path or sequence of path, optional
         The files that the recipe starts from, if they have moved; several in the order of the
         exemplars.
-    mask, fixed, known, coarse, target : path, optional
+    mask, fixed, known, coarse, like, target : path, optional
         The same for the other files that the request named.
     model : path or str, optional
         The trained model that the recipe names, where it is neither beside the file nor shipped
@@ -129,7 +130,7 @@ def rerun(
             f"{path} does not hold what its recipe makes: its voxels were changed since"
         )
     folder = location_of(path).folder
-    parts = {"mask": mask, "fixed": fixed, "known": known, "coarse": coarse}
+    parts = {"mask": mask, "fixed": fixed, "known": known, "coarse": coarse, "like": like}
     parts |= {"target": target, "model": model}
     return replay(image.recipe, folder=folder, exemplar=exemplar, **parts)
 

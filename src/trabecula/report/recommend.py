@@ -6,7 +6,7 @@ pictures, the known failures of `texture` for volumes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,6 +18,7 @@ LEAST = 12
 for it.
 """
 LEAST_NOISE = 8
+_DENSITIES = ("porosity", "volume_fraction")
 FINE = 3.0
 """Pixels: a picture whose lines change phase more often than this on average is finer than what
 `kopf` can follow, which draws stripes of three pixels only on its finest level."""
@@ -59,16 +60,20 @@ class Recommendation:
         }
 
 
-def recommend(image: Image) -> Recommendation:
+def recommend(image: Image, *, graded: Collection[str] = ()) -> Recommendation:
     """Choose a method, a preset and settings for an exemplar.
 
     Parameters
     ----------
     image : Image
         As it would be learnt from: a grey scan that is to be segmented, segmented.
+    graded : collection of str
+        Names of the target descriptors that vary from place to place.
     """
     if min(image.shape) < LEAST:
         return _for_little(image)
+    if graded and image.ndim == 3 and image.kind == "labels":
+        return _for_fields(image, graded)
     return _for_picture(image) if image.ndim == 2 else _for_volume(image)
 
 
@@ -85,6 +90,29 @@ def _for_little(image: Image) -> Recommendation:
         None,
         f"{size} is too small to learn from: {LEAST} voxels along every axis are the least; give a "
         "larger scan",
+    )
+
+
+def _for_fields(image: Image, names: Collection[str]) -> Recommendation:
+    """Choose for a volume of labels and target fields."""
+    others = sorted(name for name in names if name not in _DENSITIES)
+    if others:
+        return Recommendation("quilt", f"texture grades by density alone, not by {others[0]}")
+    if measure_structure(image).period is not None:
+        return Recommendation(
+            "quilt",
+            "the material is regular, and patches of whole periods keep its cells; turned copies "
+            "are there for gradients in every direction",
+            settings={"orientations": "all"},
+        )
+    if len(image.phases) > 2:
+        return Recommendation(
+            "quilt", f"{len(image.phases)} phases, and texture grades a void and one other phase"
+        )
+    return Recommendation(
+        "texture",
+        "two phases without long-range order: graded without seams, in one component where the "
+        "scan's solid is one",
     )
 
 

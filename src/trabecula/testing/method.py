@@ -376,6 +376,8 @@ def _parts(case: MethodCase) -> dict[str, dict[str, Any]]:
         most = (solid[::2, ::2].astype(int) + solid[1::2, ::2] + solid[::2, 1::2]) > 1
         coarse = Image(most.astype(np.uint8), "labels", phases=case.material.phases)
         parts["coarse"] = {"coarse": coarse}
+    if "like" in told.honours:
+        parts["like"] = {"like": case.relative}
     return parts
 
 
@@ -530,6 +532,7 @@ def _check_refused_parts(case: MethodCase) -> None:
     }
     halves = np.arange(SHAPE[2]) % 2 * np.ones((SHAPE[0] // 2, SHAPE[1] // 2, 1))
     parts["coarse"] = {"coarse": Image(halves.astype(np.uint8), "labels")}
+    parts["like"] = {"like": Image(np.zeros(SHAPE, np.uint8), "labels")}
     for part, words in parts.items():
         if part not in case.capabilities.honours:
             with raises(RequestError, part, f"{part} should be refused"):

@@ -101,6 +101,11 @@ class MethodCase:
         return read(write(volume, self.folder() / "exemplar.tif"))
 
     @cached_property
+    def relative(self) -> Image:
+        """Return a volume of the material that the default exemplar is a slice of."""
+        return crop(sample("bone"), 40)
+
+    @cached_property
     def small(self) -> Image | None:
         """Return a smaller exemplar for presets; the same where learning is expensive."""
         if self._small is not None or self.exemplar is None or self.trains:

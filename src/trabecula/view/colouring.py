@@ -17,7 +17,7 @@ BANDS = 64
 """Colours from the least to the greatest value."""
 
 # viridis (van der Walt and Smith, CC0): rises in lightness, so that it reads in grey as well
-_ANCHORS = np.array(
+ANCHORS = np.array(
     [
         (68, 1, 84), (72, 40, 120), (62, 74, 137), (49, 104, 142), (38, 130, 142),
         (31, 158, 137), (53, 183, 121), (110, 206, 88), (181, 222, 43), (253, 231, 37),
@@ -90,9 +90,9 @@ def colour_by(
 
 
 def _colours() -> np.ndarray:
-    at = (np.arange(BANDS) + 0.5) / BANDS * (len(_ANCHORS) - 1)
-    places = np.arange(len(_ANCHORS))
-    found = np.stack([np.interp(at, places, channel) for channel in _ANCHORS.T], axis=1)
+    at = (np.arange(BANDS) + 0.5) / BANDS * (len(ANCHORS) - 1)
+    places = np.arange(len(ANCHORS))
+    found = np.stack([np.interp(at, places, channel) for channel in ANCHORS.T], axis=1)
     return np.concatenate([[(30, 30, 30)], np.rint(found)]).astype(np.uint8)
 
 

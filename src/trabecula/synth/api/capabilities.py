@@ -11,7 +11,7 @@ from trabecula.core.checks import check_name
 SOURCES = ("volume", "volumes", "picture", "pictures", "settings")
 """Sources that a method can learn from; a plural is several exemplars of one material at once."""
 
-PARTS = ("periodic", "mask", "target", "fixed", "coarse")
+PARTS = ("periodic", "mask", "target", "fixed", "coarse", "like")
 """Parts of a `Request` beyond shape and seed."""
 
 SCALING = {"box": "window", "memmap": "sweep", "memory": "whole"}
@@ -35,7 +35,7 @@ class Capabilities:
         Results. A method that makes both gives a picture for an exemplar that is a picture.
     kinds : tuple of {"labels", "grey", "colour"}
         Kinds of exemplar.
-    honours : frozenset of {"periodic", "mask", "target", "fixed", "coarse"}
+    honours : frozenset of {"periodic", "mask", "target", "fixed", "coarse", "like"}
         Parts of a `Request` beyond shape and seed; the others are refused by name.
     targets : tuple of str
         Descriptors of a request's target, of a method that honours "target"; "volume_fraction:"

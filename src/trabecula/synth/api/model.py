@@ -228,7 +228,7 @@ class Model(ABC):
         memory : int, optional
             Budget in bytes. Default: the memory that the machine has available.
         **parts
-            Other fields of `Request`: periodic, mask, target, fixed, coarse.
+            Other fields of `Request`: periodic, mask, target, fixed, coarse, like.
 
         Raises
         ------

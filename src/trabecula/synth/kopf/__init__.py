@@ -14,7 +14,7 @@ CAPABILITIES = Capabilities(
     ),
     learns_from=("pictures",),
     kinds=("labels", "grey", "colour"),
-    honours=frozenset({"periodic", "mask", "fixed", "target", "coarse"}),
+    honours=frozenset({"periodic", "mask", "fixed", "target", "coarse", "like"}),
     presets=("fast", "best", "paper"),
     large="memmap",
     trial={"first_rounds": 3, "rounds": (2, 3)},

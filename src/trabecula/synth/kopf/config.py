@@ -19,3 +19,35 @@ class KopfConfig(SolidConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         keep_numbers(self, {"reweighting": (0, 1000)})
+
+
+@dataclass(frozen=True)
+class RelativeSettings:
+    """Settings of the rounds beside a relative in space, which no one is asked for."""
+
+    layout: str = "structure"
+    """How new material begins, as of `texture`."""
+
+    short: bool = False
+    """Whether it spends little, as the short schedule of `texture`."""
+
+    clip: float = 4.2
+    """Signed distance at which the field saturates, voxels."""
+
+    variance: float = 0.95
+    """Share of the neighbourhoods' variance that the principal components keep."""
+
+    components: int = 32
+    """At most so many principal components."""
+
+    sweeps: int = 2
+    """Search sweeps per round."""
+
+    tries: int = 4
+    """Pairs of random candidates per neighbourhood and sweep."""
+
+    index_penalty: float = 0.05
+    """How much being chosen too often adds to a distance in the search."""
+
+    robustness: float = 0.8
+    """Exponent r of the vote's weights d^(r - 2)."""

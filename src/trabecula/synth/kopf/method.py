@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import notify
 from trabecula.core.request import Request
@@ -23,9 +24,11 @@ from trabecula.synth.kopf import CAPABILITIES
 from trabecula.synth.kopf.coarse_scan import CoarseScan, check_scan
 from trabecula.synth.kopf.config import KopfConfig
 from trabecula.synth.kopf.fusion import FusionRounds
+from trabecula.synth.kopf.relative_model import RelativeModel
 from trabecula.synth.kopf.sharpening import sharpen, sharpening_stages
 from trabecula.synth.shared.content.fields import phases_present
 from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.content.kinds import Labels
 from trabecula.synth.shared.matching.planes import RegionViews
 from trabecula.synth.shared.pyramid import fit_to
 from trabecula.synth.shared.slabs import make_by_slabs
@@ -68,9 +71,15 @@ class KopfModel(SolidModel):
     capabilities = CAPABILITIES
     rounds_type = KopfRounds
     config: KopfConfig
+    _learnt: tuple[Image, RelativeModel] | None = None
 
     def make(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
-        """Make a volume from pictures alone, or one that a coarse scan lays out."""
+        """Make a volume from pictures alone, beside a relative in space, or one that a coarse scan
+        lays out.
+        """
+        if request.like is not None:
+            assert isinstance(self.content, Labels)  # checked with the request
+            return self._relative(request).make(request, self.content)
         if request.coarse is None:
             return super().make(request)
         pictures, present = self._phases()
@@ -93,6 +102,21 @@ class KopfModel(SolidModel):
         super()._check_request(request)
         if request.coarse is not None:
             check_scan(request, *self._phases())
+        if request.like is not None:
+            self._relative(request).check(request)
+
+    def _relative(self, request: Request) -> RelativeModel:
+        """Return what is learnt from the relative of a request; the last one is kept."""
+        like = request.like
+        assert like is not None
+        if self._learnt is None or self._learnt[0] is not like:
+            if self.exemplars[0].kind != "labels":
+                raise RequestError(
+                    f"the exemplar is {self.exemplars[0].kind}: beside a relative a picture is of "
+                    "labels; segment it (--threshold)"
+                )
+            self._learnt = (like, RelativeModel.of(request, self.views, self._phases()[1]))
+        return self._learnt[1]
 
     def _phases(self) -> tuple[list[Image], tuple[int, ...]]:
         """Return the pictures of all views, and the labels that occur in them."""
@@ -100,8 +124,15 @@ class KopfModel(SolidModel):
         return pictures, phases_present(pictures)
 
     def _stages(self, request: Request, *, mapped: bool = False) -> tuple[Stage, ...]:
+        if request.like is not None:
+            nbytes = self.output_bytes(request)
+            return self._relative(request).stages(request, nbytes=nbytes, mapped=mapped)
         found = super()._stages(request, mapped=mapped)
         return found if request.coarse is None else (*found, *sharpening_stages(request.shape))
+
+    def _fixed(self) -> dict[str, int]:
+        held = 0 if self._learnt is None else self._learnt[1].nbytes
+        return super()._fixed() | ({"relative": held} if held else {})
 
 
 def histogram_excess(votes: np.ndarray, views: RegionViews, strength: float) -> np.ndarray:

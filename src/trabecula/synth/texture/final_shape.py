@@ -28,12 +28,12 @@ from trabecula.measure.distance import distance_transform
 from trabecula.synth.shared.content.fields import FULL, UNIT
 from trabecula.synth.shared.content.phase_fractions import brightest_voxels
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.texture.joined import Struts, join_components, join_stages
+from trabecula.synth.texture.joined import StrutField, join_components, join_stages
 from trabecula.synth.texture.local_offset import LocalOffset
 
 _WIDTH = 20  # voxels a side of a window in which the fraction is to be that of the target
-_PASSES = 2
-_STEPS, _FULL = 60, 15  # of a shift; the last of them count every voxel
+_STEPS = (60, 60)  # of the shift in every pass
+_FULL = 15  # the last steps, which count every voxel
 _MOST = 3.0  # voxels by which an interface moves in one pass
 _THIN = 0.9  # voxels, radius of the last joins
 
@@ -63,7 +63,7 @@ def settle_shape(
     votes: np.ndarray,
     region: Region,
     fractions: np.ndarray,
-    struts: Struts | None,
+    struts: StrutField | None,
     *,
     unit: float,
 ) -> tuple[np.ndarray, dict[str, Any]]:
@@ -77,21 +77,21 @@ def settle_shape(
         The result.
     fractions : (Z, Y, X) float32
         Of the upper phase, at every voxel.
-    struts : Struts or None
+    struts : StrutField or None
         How to join the solid; None where it need not be one component.
     unit : float
         Steps of the field in a voxel.
     """
     most, joins = _MOST * unit * UNIT, 0
-    for _ in range(_PASSES):
+    for steps in _STEPS:
         field = _rounded(votes)
         if struts is not None:
             joins += join_components(field, region, struts)
         votes = _distances(field, region, unit)
         del field
         local = LocalOffset.of(region, fractions, _WIDTH)
-        for number in range(_STEPS):
-            every = 2 if number < _STEPS - _FULL else 1
+        for number in range(steps):
+            every = 2 if number < steps - _FULL else 1
             local.step(votes[0], low=-most, high=most, every=every)
         local.add_to(votes[0])
     upper = brightest_voxels(votes[0], _count_of(fractions, region), region.free)

@@ -63,8 +63,11 @@ class LocalOffset:
     offset: np.ndarray
     missing: np.ndarray
     _step: np.ndarray = field(init=False)
+    _blocks: np.ndarray = field(init=False)  # of the window around every block
 
     def __post_init__(self) -> None:
+        ones = np.ones(self.offset.shape, np.int32)
+        self._blocks = window_sums(ones, self.width, self.region.wraps)
         self._step = np.zeros_like(self.offset)
 
     @classmethod
@@ -128,7 +131,19 @@ class LocalOffset:
         scale = np.int32(UNIT if votes.dtype == np.int8 else 1)
 
         def work(start: int, stop: int) -> None:
-            _tally(votes, free, offset, self.edge, wraps, scale, every, *tallies, start, stop)
+            _tally(
+                votes,
+                free,
+                offset,
+                self.edge,
+                wraps,
+                scale,
+                every,
+                tallies[0],
+                tallies[1],
+                start,
+                stop,
+            )
 
         for_slabs(work, len(offset))
         inside, near = (window_sums(one, self.width, self.region.wraps) for one in tallies)
@@ -148,8 +163,7 @@ class LocalOffset:
         counts = np.maximum(self.counted, 1)
         missing = (self.wanted - inside * PARTS) // counts
         around = window_sums(missing.astype(np.int32), self.width, self.region.wraps)
-        blocks = window_sums(np.ones(missing.shape, np.int32), self.width, self.region.wraps)
-        self.missing = (around / (blocks * float(PARTS))).astype(np.float32)
+        self.missing = (around / (self._blocks * float(PARTS))).astype(np.float32)
         slope = np.maximum(near / counts, _FEWEST) / (2 * _NEAR)
         step = np.clip(haste * self.missing / slope, -_MOST, _MOST)
         self._step = (np.float32(again) * self._step + step).astype(np.float32)

@@ -22,10 +22,10 @@ from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image, with_values
 from trabecula.core.progress import notify, track
 from trabecula.core.request import Request
-from trabecula.core.seeds import generator
 from trabecula.engine.memory import Array, Stage, forecast, resident, within
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.method import Method, Model
+from trabecula.synth.shared import novel_layout
 from trabecula.synth.shared.coarse_to_fine import levels_for, levels_that_fit
 from trabecula.synth.shared.content.fields import (
     FULL,
@@ -41,7 +41,6 @@ from trabecula.synth.shared.content.kinds import (
     Values,
     complete,
     content_of,
-    free_voxels,
 )
 from trabecula.synth.shared.matching.principal_components import basis_bytes
 from trabecula.synth.shared.matching.region import Region, has_cube, regions_of
@@ -49,6 +48,7 @@ from trabecula.synth.shared.matching.sources import Stack
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve
+from trabecula.synth.shared.small_bodies import body_stages, learn_small_bodies, settle_phases
 from trabecula.synth.shared.stages import bound_stages, usage_bytes, value_stages
 from trabecula.synth.shared.statistics.density_slopes import (
     DensitySlopes,
@@ -58,7 +58,7 @@ from trabecula.synth.shared.statistics.density_slopes import (
 )
 from trabecula.synth.shared.statistics.slices import SliceTarget
 from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
-from trabecula.synth.texture import CAPABILITIES, novel_layout
+from trabecula.synth.texture import CAPABILITIES
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.exemplar_rounds import (
     ExemplarRounds,
@@ -81,19 +81,13 @@ from trabecula.synth.texture.grey_levels import (
     learn_levels,
     trial_bytes,
 )
-from trabecula.synth.texture.joined import Struts, struts_of
+from trabecula.synth.texture.joined import StrutField, strut_field
 from trabecula.synth.texture.scan_phases import ScanPhases, find_phases
-from trabecula.synth.texture.small_bodies import (
-    body_stages,
-    learn_small_bodies,
-    settle_small_bodies,
-)
 
 # of the windows that tell dense places from sparse ones: structure lengths, voxels at least, and
 # so many of them along the exemplar's shortest side
 _WINDOW, _NARROWEST, _WINDOWS = 2, 8, 6
 _LEAST_LEFT = 1e-6  # of a phase
-_SETTLED = 3  # times that small bodies are counted and settled
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _EACH, _CHANNEL = 52, 14  # bytes of a voxel, and of its channels, while grey values are learnt
 _NAMES = {2: ("dark", "bright"), 3: ("dark", "middle", "bright")}
@@ -281,7 +275,7 @@ class TextureModel(Model):
             levels = " and ".join(f"{self._level_of(one):g}" for one in scan.thresholds)
             notify(f"the grey values tell {scan.count} phases, split at {levels}")
         structures = [image.values for image in labels]
-        products = way == "told"
+        products = way == "found"
         targets = self._histograms_by_phase(structures, scan.count) if products else ()
 
         def match(votes: np.ndarray, structure: np.ndarray) -> np.ndarray:
@@ -370,36 +364,15 @@ class TextureModel(Model):
             values, report["graded"] = self._settle_shape(votes, request)
             return values, report
         if new and self.small:
-            report["small_bodies"] = self._settle_small_bodies(votes, request)
+            assert isinstance(self.content, Labels)
+            report["small_bodies"] = settle_phases(
+                votes, self.content, self.small, request, name="texture"
+            )
         if request.target and isinstance(self.content, Labels):
             request = average_target(request)
         if self.novelty and not new:
             report["way"] = _PATCHES
         return self.content.to_values(votes, request), report
-
-    def _settle_small_bodies(self, votes: np.ndarray, request: Request) -> dict[str, Any]:
-        """Bring the small bodies of every phase to the exemplars' numbers, in the votes.
-
-        The bodies change the volume fractions, and what restores these may cut off others: so
-        again.
-        """
-        assert isinstance(self.content, Labels)
-        report: dict[str, Any] = {}
-        free = free_voxels(request)
-        for number in range(_SETTLED):
-            values = self.content.to_values(votes, request)
-            for label, bodies in self.small.items():
-                report[self.content.names[label]] = settle_small_bodies(
-                    votes,
-                    values,
-                    bodies,
-                    label,
-                    self.content.present,
-                    draw=generator(request.seed, f"texture/bodies/{label}", number),
-                    periodic=request.periodic,
-                    mask=free,
-                )
-        return report
 
     def _novel_rounds(
         self, request: Request, around: Sequence[Region] = ()
@@ -464,14 +437,14 @@ class TextureModel(Model):
         return regions_of(replace(request, mask=None), self.top + 1, bounds, self._quantise)
 
     @cached_property
-    def _struts(self) -> list[Struts | None]:
+    def _struts(self) -> list[StrutField | None]:
         """Measure the solid that is to be one component, on every level; empty where none is."""
         if self.config.connected == "none" or not isinstance(self.content, Labels):
             return []
         upper, clip = self.content.present[0] == self.content.empty, self.config.clip
-        found = [struts_of(stack, upper=upper, clip=clip) for stack in self.stacks]
+        found = [strut_field(stack, upper=upper, clip=clip) for stack in self.stacks]
         if found[0] is None and self.config.connected == "solid":
-            found[0] = struts_of(self.stacks[0], upper=upper, clip=clip, whole=0.0)
+            found[0] = strut_field(self.stacks[0], upper=upper, clip=clip, whole=0.0)
         return found if found[0] is not None else []
 
     def _settle_shape(

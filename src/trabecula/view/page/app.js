@@ -3,6 +3,7 @@
 
 const HOME = { azimuth: 32, elevation: 26, zoom: 1, pan: [0, 0] };
 const JITTER = [[-0.25, -0.25], [0.25, 0.25], [0.25, -0.25], [-0.25, 0.25]];
+const REFINED = 48;   // passes of the refined light
 const $ = (id) => document.getElementById(id);
 
 class App {
@@ -13,6 +14,11 @@ class App {
     this.cameras = volumes.map(() => null);
     this.moved = -Infinity;
     this.dragScale = 0.5;
+    this.focus = [0.5, 0.5, 0.5];
+    this.measuring = false;
+    this.tape = new Tape(this);
+    // On a processor a pass takes a second: there the refined light is for those who ask.
+    this.rest = drawing && drawing.mean && !drawing.onProcessor ? "refined" : "sharp";
     this.link(true);
     this.setLook(this.look, false);
     this.cut.at = [0, 1, 2].map((axis) => {
@@ -20,15 +26,26 @@ class App {
       return side > 1 ? Math.floor(side / 2) / side : 0.5;
     });
     this.views = volumes.map((volume) => this.overlay(volume));
-    this.slices = slicePanels($("slices"));
-    this.choose(0, true);
+    this.ofLook = this.atFirst = snapshot(this);
+    this.recall();
+    this.slices = slicePanels(this, $("slices"));
+    this.choose(this.active, true);
+  }
+
+  // What the address remembers.
+  recall() {
+    const unknown = restore(this, location.hash.slice(1));
+    if (unknown.length) complain(`The address holds what this page does not know, which is left out: ${unknown.join(", ")}.`);
+    this.remembered = stateText(this);
   }
 
   overlay(volume) {
     const bar = make("div", { class: "bar" }), label = make("div", { class: "length" }), handles = make("div");
-    const host = make("div", { class: "view" }, make("div", { class: "name" }, volume.name), handles, label, bar);
+    const tape = vector("svg", { class: "tape", "aria-hidden": "true" }), legend = make("div", { class: "legend" });
+    const spot = make("div", { class: "spot", "aria-hidden": "true" }), level = make("div", { class: "level" });
+    const host = make("div", { class: "view" }, make("div", { class: "name" }, volume.name), level, tape, spot, handles, legend, label, bar);
     $("views").append(host);
-    return { host, bar, label, handles };
+    return { host, bar, label, handles, tape, legend, spot, level };
   }
 
   // Cameras: one for all while linked, else one each.
@@ -57,6 +74,7 @@ class App {
       if (volume.kind === "grey") [volume.phases[0].colour, volume.phases[1].colour] = [[20, 18, 16], [255, 252, 246]];
     }
     document.documentElement.style.setProperty("--ground", hexOf(look.background));
+    if (this.views) this.ofLook = snapshot(this);
     if (draw) {
       this.panel();
       this.redraw();
@@ -79,8 +97,88 @@ class App {
     if (index === this.active && !force) return;
     this.active = index;
     this.views.forEach(({ host }, i) => host.classList.toggle("active", i === index && this.volumes.length > 1));
-    this.slices.forEach((one) => one.show(this.volumes[index]));
+    this.drawSlices();
     this.panel();
+  }
+
+  // The voxel (x, y, z) of the active volume where the three slices cross.
+  focusVoxel() {
+    const volume = this.volumes[this.active];
+    return [0, 1, 2].map((i) => sliceAt(volume, this.focus, 2 - i));
+  }
+
+  middleOf(voxel) {
+    return voxel.map((value, i) => (value + 0.5) * this.volumes[this.active].edges[i]);
+  }
+
+  setFocus(voxel) {
+    const volume = this.volumes[this.active];
+    this.focus = voxel.map((value, i) => (value + 0.5) / volume.sides[i]);
+    this.drawSlices(false);
+    this.read(this.active, voxel);
+    if (this.drawing) this.overlays();
+    remember(this);
+  }
+
+  say(text) {
+    $("probe").textContent = text;
+  }
+
+  // What is at a voxel; the thickness, which takes a moment, once the pointer rests.
+  read(index, voxel) {
+    clearTimeout(this.resting);
+    this.say(this.reading(index, voxel, { thick: false }));
+    this.resting = setTimeout(() => this.say(this.reading(index, voxel)), 120);
+  }
+
+  reading(index, voxel, options) {
+    return readingOf(this.volumes[index], voxel, options);
+  }
+
+  // The material under a place of the stage, CSS pixels.
+  under(x, y) {
+    const index = this.cellAt(x, y), cell = this.cells[index];
+    const found = pick(this.volumes[index], this.cameras[index], cell, this.cut, x - cell.left, y - cell.top);
+    return found && { index, ...found };
+  }
+
+  hover(x, y) {
+    const found = this.under(x, y);
+    if (found) this.read(found.index, found.voxel);
+  }
+
+  // A press without a move: an end of the tape, or the place where the slices cross.
+  press(x, y) {
+    const found = this.under(x, y);
+    if (!found) return;
+    if (this.measuring) this.tape.add(found.index, found.point);
+    else this.setFocus(found.voxel);
+  }
+
+  measureBy(on) {
+    this.measuring = on;
+    $("tape").setAttribute("aria-pressed", String(on));
+    $("stage").classList.toggle("measuring", on);
+    if (on) this.say("tape: press two places of the material, or of a slice");
+    else this.tape.clear();
+  }
+
+  // Colours by a field of the active volume; -1: its own.
+  setField(number) {
+    const volume = this.volumes[this.active];
+    volume.field = number;
+    if (volume.textures) this.drawing.tint(volume);
+    this.redraw();
+    this.drawSlices();
+  }
+
+  // The box in finer voxels that came, or none.
+  takeDetail(index, fine) {
+    const volume = this.volumes[index];
+    volume.fine = fine;
+    if (volume.textures) this.drawing.refine(volume);
+    this.passes = 0;
+    this.schedule();
   }
 
   panel() {
@@ -94,8 +192,8 @@ class App {
     $("panel").querySelectorAll("details").forEach((each, i) => { each.open = open[i] ?? i < 3; });
   }
 
-  drawSlices() {
-    this.slices.forEach((one) => one.draw(this.volumes[this.active]));
+  drawSlices(fresh = true) {
+    this.slices.forEach((one) => one.draw(this.volumes[this.active], fresh));
   }
 
   // Places of the volumes on the stage, CSS pixels from its upper left, and the length of a pixel in each one's unit.
@@ -134,7 +232,8 @@ class App {
     });
   }
 
-  // A coarse picture while things move, then a sharp one, refined by three more with rays between its rays.
+  // A coarse picture while things move, then a sharp one, of four passes with rays between rays; then, where that is wanted,
+  // many passes of the refined light. Later passes count for more, so that the quick light is soon forgotten.
   step() {
     const since = performance.now() - this.moved, moving = since < 150 && this.frames > 0;
     if (moving) {
@@ -146,9 +245,27 @@ class App {
       this.settle = setTimeout(() => this.schedule(), 160);
       return;
     }
-    this.paint(1, this.passes);
+    this.pass();
+    if (this.passes === JITTER.length) {
+      remember(this);
+      this.volumes.forEach((volume, i) => fetchDetail(this, i));
+    }
+    if (this.passes < this.passesAtRest) this.schedule();
+  }
+
+  get passesAtRest() {
+    return JITTER.length + (this.rest === "refined" && this.drawing.mean ? REFINED : 0);
+  }
+
+  // The next pass at rest.
+  pass() {
+    const k = this.passes - JITTER.length;
+    if (k < 0) this.paint(1, this.passes);
+    else {
+      const jitter = [0.5, 0.7548776662, 0.5698402910].slice(1).map((step) => ((k + 1) * step) % 1 - 0.5);
+      this.paint(1, 1, { pass: k, jitter, blend: (k + 1) / (3 + (k + 1) * (k + 2) / 2) });
+    }
     this.passes += 1;
-    if (this.passes < JITTER.length) this.schedule();
   }
 
   paint(scale, pass, options = {}) {
@@ -166,6 +283,7 @@ class App {
       const place = [cell.left ? pixels(cell.left) : 0, Math.max(0, bottom), width, height];
       this.drawing.draw(volume, place, view, { jitter: JITTER[pass], blend: 1 / (pass + 1), ...options });
     });
+    if (!options.count) this.drawing.show();
     if (pass === 0) this.overlays();
     this.frames += 1;
   }
@@ -174,18 +292,24 @@ class App {
   overlays() {
     $("panel").querySelectorAll(".row, .tick").forEach((row) => row.show && row.show());
     this.volumes.forEach((volume, i) => {
-      const cell = this.cells[i], { host, bar, label, handles } = this.views[i];
+      const cell = this.cells[i], { host, bar, label, handles, legend, spot, level } = this.views[i];
       Object.assign(host.style, { left: `${cell.left}px`, top: `${cell.top}px`, width: `${cell.width}px`, height: `${cell.height}px` });
       const length = roundLength(cell.width / 4 * cell.pixel);
       bar.style.width = `${Math.round(length / cell.pixel)}px`;
       label.textContent = words(length, volume.unit);
       placeHandles(this, handles, volume, cell, this.cameras[i]);
+      placeLegend(legend, volume);
+      level.textContent = levelText(volume);
+      const middle = this.focus.map((part, k) => part * volume.extent[k]);
+      const [x, y] = project(middle, volume, basis(this.cameras[i]), this.cameras[i].pan, cell, cell.width, cell.height);
+      spot.style.transform = `translate(${x}px, ${y}px)`;
     });
+    this.tape.place();
   }
 
   // The picture with names and scale bars, as a PNG.
   async screenshot(save = true) {
-    for (this.passes = 0; this.passes < JITTER.length; this.passes++) this.paint(1, this.passes);
+    for (this.passes = 0; this.passes < this.passesAtRest;) this.pass();
     const { canvas } = this.drawing.gl, copy = make("canvas", { width: canvas.width, height: canvas.height });
     const pen = copy.getContext("2d"), density = canvas.width / $("stage").clientWidth;
     pen.drawImage(canvas, 0, 0);
@@ -236,8 +360,11 @@ async function start() {
   for (const [i, about] of PAGE.volumes.entries()) {
     const [depth, height, width] = about.shape, channels = about.kind === "colour" ? 3 : 1;
     const voxels = await unpack($(`voxels-${i}`), depth * height * width * channels);
-    const sides = [width, height, depth];
-    volumes.push({ ...about, voxels, sides, extent: sides.map((side, k) => side * about.edges[k]), opacity: 1, dirty: true });
+    const sides = [width, height, depth], fields = [];
+    for (const [j, field] of about.fields.entries()) {
+      fields.push({ ...field, voxels: await unpack($(`field-${i}-${j}`), depth * height * width) });
+    }
+    volumes.push({ ...about, voxels, sides, fields, extent: sides.map((side, k) => side * about.edges[k]), opacity: 1, dirty: true });
   }
   let drawing = null;
   try {
@@ -250,17 +377,38 @@ async function start() {
     document.body.classList.add("flat");
   }
   const app = new App(volumes, drawing);
+  window.addEventListener("hashchange", () => {
+    app.recall();
+    app.panel();
+    app.drawSlices();
+    app.redraw();
+  });
   if (drawing) {
     listen(app, $("picture"));
-    $("picture").addEventListener("webglcontextlost", () => complain("The graphics card was taken away: load the page again."));
+    recover(app, $("picture"));
     new ResizeObserver(() => app.redraw()).observe($("stage"));
     $("shot").onclick = () => app.screenshot();
     $("turn").onclick = () => app.home();
+    $("tape").onclick = () => app.measureBy(!app.measuring);
     app.paint(1, 0);
     app.redraw();
   }
   document.body.classList.add("ready");
   return app;
+}
+
+// A graphics card that is taken away may come back, with nothing on it.
+function recover(app, canvas) {
+  canvas.addEventListener("webglcontextlost", (event) => {
+    event.preventDefault();
+    complain("The graphics card was taken away. The volume comes back with it; the slices stay. If it does not, load the page again.");
+  });
+  canvas.addEventListener("webglcontextrestored", () => {
+    app.drawing.start();
+    app.volumes.forEach((volume) => Object.assign(volume, { dirty: true, textures: null }));
+    $("message").hidden = true;
+    app.redraw();
+  });
 }
 
 window.trabecula = { ready: start() };

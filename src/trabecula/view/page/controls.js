@@ -60,7 +60,29 @@ function section(title, ...children) {
 
 function lookControls(app) {
   const names = Object.keys(TABLE.looks).map((name) => [name, name]);
-  return [choice("Look", names, () => app.look, (name) => app.setLook(name))];
+  const rests = [["sharp", "sharp"], ["refined", "soft shadows, scattering"]];
+  const rest = choice("At rest", rests, () => app.rest, (value) => { app.rest = value; app.redraw(); });
+  return [choice("Look", names, () => app.look, (name) => app.setLook(name)), ...(app.drawing && app.drawing.mean ? [rest] : [])];
+}
+
+// Fields that may colour what is drawn.
+function fieldControls(app, volume) {
+  if (!volume.fields.length) return [];
+  const names = [["-1", "their own"], ...volume.fields.map(({ name }, i) => [String(i), name])];
+  return [choice("Colours", names, () => String(volume.field), (value) => app.setField(Number(value)))];
+}
+
+// The colours of a field and the values of their ends.
+function placeLegend(host, volume) {
+  const chosen = volume.fields[volume.field];
+  host.hidden = !chosen;
+  if (!chosen || host.dataset.name === chosen.name) return;
+  const bar = make("canvas", { width: 256, height: 1, class: "ramp" }), image = new ImageData(256, 1);
+  for (let value = 0; value < 256; value++) image.data.set([...rampColour(value), 255], 4 * value);
+  bar.getContext("2d").putImageData(image, 0, 0);
+  host.dataset.name = chosen.name;
+  const ends = chosen.limits.map((value) => make("span", {}, brief(value)));
+  host.replaceChildren(make("div", { class: "title" }, chosen.name), bar, make("div", { class: "ends" }, ...ends));
 }
 
 function cutControls(app) {
@@ -77,8 +99,15 @@ function cutControls(app) {
   ];
   const mode = choice("Take away", modes, () => cut.mode, (value) => { app.setCut(value); });
   const face = make("button", { type: "button", onclick: () => { app.faceCut(); changed(); } }, "Open towards me");
+  const here = make("button", { type: "button", onclick: () => { cut.at = [...app.focus]; changed(); } }, "Cut at the slices");
   const plane = tick("Free plane", () => cut.free, (value) => { cut.free = value; changed(); });
-  return [mode, ...per, face, plane, ...free];
+  // Across the line of sight: what is nearer than the middle goes.
+  const across = make("button", { type: "button", onclick: () => {
+    const { azimuth, elevation } = app.cameras[app.active];
+    Object.assign(cut, { free: true, azimuth, elevation, offset: 0.5 });
+    changed();
+  } }, "Plane across my view");
+  return [mode, ...per, make("div", { class: "phase" }, face, here), plane, ...free, across];
 }
 
 function cameraControls(app) {
@@ -111,6 +140,7 @@ function materialControls(app, volume) {
     app.redraw();
   });
   if (volume.kind !== "labels") return [...transferControls(app, volume, fresh), opacity, ...finishControls(app, volume.phases[1])];
+  const tints = fieldControls(app, volume);
   const host = make("div");
   let chosen = Math.max(0, volume.phases.findIndex((phase) => phase.visible));
   const list = volume.phases.map((phase) => make("div", { class: "phase" },
@@ -121,7 +151,7 @@ function materialControls(app, volume) {
   const names = volume.phases.map((phase, label) => [String(label), phase.name]);
   const which = choice("Surface of", names, () => String(chosen), (value) => { chosen = Number(value); fill(); });
   fill();
-  return [...list, opacity, which, host];
+  return [...tints, ...list, opacity, which, host];
 }
 
 // Transfer function of greys: opacity rises from `low` to `high`; colours run from dark to bright over the window.
@@ -182,6 +212,8 @@ function facts(volume) {
   const rows = volume.facts.map(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]).flat();
   const found = [make("dl", {}, ...rows)];
   if (volume.figures.length) {
+    const judged = volume.figures.filter(([, , , verdict]) => verdict), passed = judged.filter(([, , , verdict]) => verdict === "pass");
+    found.push(make("p", { class: "verdict" }, `Certificate: ${passed.length} of ${judged.length} figures shown pass`));
     const head = make("tr", {}, ...["figure", "value", "band", ""].map((text) => make("th", { scope: "col" }, text)));
     found.push(make("table", {}, head, ...volume.figures.map(([name, value, band, verdict]) => make("tr", { class: verdict },
       make("th", { scope: "row" }, name.replaceAll("_", " ")), make("td", {}, value), make("td", {}, band), make("td", {}, verdict)))));

@@ -9,7 +9,7 @@ import gzip
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from trabecula.engine.files import replacing
+from trabecula.view.colouring import ANCHORS, BANDS
 from trabecula.view.looks import as_table
 from trabecula.view.page import server
 from trabecula.view.picture import check_suffix
@@ -32,11 +33,30 @@ _SCRIPTS = (
     "volume.js",
     "scene.js",
     "drawing.js",
+    "probe.js",
+    "tape.js",
     "slices.js",
     "controls.js",
+    "state.js",
+    "detail.js",
     "pointer.js",
     "app.js",
 )
+
+
+@dataclass(frozen=True)
+class Live:
+    """A page that asks its server for finer voxels.
+
+    Parameters
+    ----------
+    html : str
+    boxes : callable, optional
+        `boxes(volume, fine, low, size)` gives the bytes of a box; `server.Boxes`.
+    """
+
+    html: str
+    boxes: server.Boxes | None
 
 
 @dataclass(frozen=True)
@@ -50,11 +70,14 @@ class Page:
     title : str
     height : int
         Pixels that it takes in a notebook.
+    live : Live, optional
+        What a server shows in its place, where the page alone holds blocks of voxels.
     """
 
     html: str
     title: str = "trabecula"
     height: int = 640
+    live: Live | None = None
 
     def save(self, path: str | PathLike[str]) -> Path:
         """Write it as one self-contained file, ending in .html."""
@@ -63,11 +86,18 @@ class Page:
             temporary.write_text(self.html, encoding="utf-8")
         return Path(path)
 
-    def show(self, *, port: int = 0, browser: bool = True) -> None:
+    def show(
+        self,
+        *,
+        port: int = 0,
+        browser: bool = True,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
         """Serve it on this machine alone and open a browser; returns when interrupted. See
         `server.serve`.
         """
-        server.serve(self.html, port=port, browser=browser)
+        live = self.live or Live(self.html, None)
+        server.serve(live.html, port=port, browser=browser, tell=tell, boxes=live.boxes)
 
     def _repr_html_(self) -> str:
         frame = (
@@ -89,7 +119,14 @@ def pack(values: np.ndarray) -> str:
     )
 
 
-def document(title: str, about: Mapping[str, Any], volumes: Sequence[str]) -> str:
+def document(
+    title: str,
+    about: Mapping[str, Any],
+    volumes: Sequence[str],
+    fields: Mapping[str, str] | None = None,
+    *,
+    live: bool = False,
+) -> str:
     """Write the whole page.
 
     Parameters
@@ -99,25 +136,35 @@ def document(title: str, about: Mapping[str, Any], volumes: Sequence[str]) -> st
         Plain JSON for the script: look, volumes, and whether they are aligned.
     volumes : sequence of str
         Their voxels, `pack`.
+    fields : mapping, optional
+        "volume-field" -> the field's bytes, `pack`.
+    live : bool
+        It may ask its own server.
     """
     style, script = _asset("page.css"), _script()
     policy = (
         f"default-src 'none'; script-src 'sha256-{_hash(script)}'; "
         f"style-src 'sha256-{_hash(style)}'; "
         "img-src data: blob:; base-uri 'none'; form-action 'none'"
+        + ("; connect-src 'self'" if live else "")
     )
     tables = {
         **as_table(),
         "block": BLOCK,
         "levels": LEVELS,
+        "ramp": ANCHORS.tolist(),
+        "bands": BANDS,
         "blur": WEIGHTS[: len(WEIGHTS) // 2 + 1].tolist(),
     }
     constants = (
-        f"const float DEPTH = {DEPTH}, ENTRY = {ENTRY}, LEAST = {LEAST}, BLOCK = {float(BLOCK)};"
+        f"const float DEPTH = {DEPTH}, ENTRY = {ENTRY}, LEAST = {LEAST}, BLOCK = {float(BLOCK)}, "
+        f"BANDS = {float(BANDS)};"
     )
+    packed = {f"voxels-{k}": text for k, text in enumerate(volumes)}
+    packed |= {f"field-{name}": text for name, text in (fields or {}).items()}
     blocks = (
-        f'<script type="application/gzip" id="voxels-{k}">{text}</script>'
-        for k, text in enumerate(volumes)
+        f'<script type="application/gzip" id="{name}">{text}</script>'
+        for name, text in packed.items()
     )
     parts = {
         "policy": policy,
@@ -130,6 +177,7 @@ def document(title: str, about: Mapping[str, Any], volumes: Sequence[str]) -> st
         ),
         "vertex": _asset("march.vert"),
         "fragment": _asset("march.frag").replace("// {constants}", constants),
+        "showing": _asset("show.frag"),
         "script": script,
     }
     # In one pass, so that nothing that is put in is taken for a place to put something.

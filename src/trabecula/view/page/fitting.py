@@ -9,8 +9,10 @@ from math import prod
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.engine.lazy_volume import Slabs, as_slabs
 from trabecula.engine.memory import Plan
 from trabecula.exemplar.segment import otsu
+from trabecula.view.page.joining import join_labels
 
 LARGEST = 256**3
 """Voxels that a page draws; more are taken together in blocks."""
@@ -48,16 +50,21 @@ class FittedVolume:
         return max(0, self.threshold - _SOFT), min(255, self.threshold + _SOFT)
 
 
-def fit_volume(image: Image) -> FittedVolume:
-    """Fit a volume into a tab: means of blocks (of labels: the most frequent) where it is large; a
-    picture as one slice.
+def fit_volume(image: Image | Slabs) -> FittedVolume:
+    """Fit a volume into a tab: means of blocks (of labels by their coverage, `join_labels`) where
+    it is large; a picture as one slice.
     """
+    if isinstance(image, Slabs):
+        block = block_of(image.shape)
+        return FittedVolume(join_labels(image, block), block, (0.0, 255.0), 0)
     values = image.values if image.ndim == 3 else image.values[None]
     shape = image.shape if image.ndim == 3 else (1, *image.shape)
     limits, threshold = (0.0, 255.0), 0
     if image.kind == "grey":
         limits = _limits(values)
-    block = _block(shape)
+    block = block_of(shape)
+    if max(block) > 1 and image.kind == "labels" and image.ndim == 3:
+        return fit_volume(as_slabs(image))
     if max(block) > 1:
         values = np.stack(
             [_join_blocks(part, block, image.kind) for part in _slabs(values, block[0])]
@@ -74,7 +81,47 @@ def forecast(shape: Sequence[int], itemsize: int) -> Plan:
     return Plan({"volume": (itemsize + 1) * voxels, "page": 12 * min(voxels, LARGEST)})
 
 
-def _block(shape: Sequence[int]) -> tuple[int, ...]:
+def fit_field(
+    field: np.ndarray, drawn: np.ndarray, block: Sequence[int]
+) -> tuple[np.ndarray, tuple[float, float]]:
+    """Fit a field into a tab, as bytes.
+
+    Parameters
+    ----------
+    field : (Z, Y, X) float
+    drawn : (Z, Y, X) bool
+        What is drawn at first.
+    block : (z, y, x)
+        Of a block the mean over what is drawn in it counts, else over all of it.
+
+    Returns
+    -------
+    values : uint8, one for each block
+    limits : (low, high)
+        Of 0 and 255: the 1st and 99th percentile where it is drawn, as in a still; of a field that
+        is the same all over what is drawn (a velocity, in the solid), where it is not.
+    """
+    inside = drawn
+    if not drawn.any() or np.ptp(field[drawn]) == 0:
+        inside = ~drawn
+    if not inside.any():
+        inside = np.ones_like(drawn)
+    low, high = (float(value) for value in np.quantile(field[inside], [0.01, 0.99]))
+    if high <= low:
+        high = low + (abs(low) or 1.0)
+    if max(block) > 1:
+        share = _join_volume(inside.astype(np.float32), block)
+        held = _join_volume(np.where(inside, field, 0).astype(np.float32), block)
+        plain = _join_volume(field.astype(np.float32), block)
+        field = np.where(share > 0, held / np.maximum(share, 1e-9), plain)
+    return _bytes(field.astype(np.float32), (low, high)), (low, high)
+
+
+def _join_volume(values: np.ndarray, block: Sequence[int]) -> np.ndarray:
+    return np.stack([_join_blocks(part, block, "grey") for part in _slabs(values, block[0])])
+
+
+def block_of(shape: Sequence[int]) -> tuple[int, ...]:
     """Return the edges of the smallest blocks that make the volume fit, the same along every axis
     that has so many voxels.
     """

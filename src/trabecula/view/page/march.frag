@@ -1,6 +1,7 @@
 #version 300 es
 // The ray marcher and the light of the page: the same model as rays.py and shading.py, where it is explained.
 // Positions are in voxels (x, y, z), the corner of voxel 0 at 0; t is a length in smallest voxel edges.
+// FINE, FIELD and REFINED are defined where they are wanted: a processor that draws runs both sides of a branch.
 precision highp float;
 precision highp int;
 precision highp sampler3D;
@@ -8,6 +9,9 @@ precision highp sampler3D;
 uniform sampler3D uField;    // how much is drawn, 0..1, with means over 2, 4, ... voxels in its levels
 uniform sampler3D uSource;   // labels, grey or colour
 uniform sampler3D uBlocks;   // blocks of 4 voxels: how many away the nearest with a surface is
+uniform sampler3D uFineField, uFineSource;  // the same of a box in finer voxels
+uniform vec3 uFineLow, uFineHigh;  // that box, in voxels of the whole
+uniform float uFine;         // voxels of the box along the edge of one of the whole; 0: there is no box
 uniform vec3 uSides, uInverse, uStretch;  // voxels, one over them, spacing over its smallest
 uniform vec3 uCorner, uRight, uDown, uDirection;  // of the rays, in voxels
 uniform vec3 uKeepLow, uKeepHigh, uGoneLow, uGoneHigh;
@@ -16,22 +20,60 @@ uniform vec3 uLamp, uViewer, uStrength, uShade, uBackground, uDye;
 uniform vec3 uAround[7];     // of two opposite directions one
 uniform vec3 uAlbedo[16];
 uniform vec4 uFinish[16];    // roughness, specular, absorption, scattering
-uniform int uKind;           // 0: one phase, 1: labels, 2: grey, 3: colour
+uniform vec3 uRamp[10];      // sRGB 0..255, from the least to the greatest value of a field
+uniform int uKind;           // 0: one phase, 1: labels, 2: grey, 3: colour, 4: a field's colours
+uniform int uPass;           // of the refined light
 uniform int uOnly, uLevels;
 uniform vec2 uWindow;        // greys that are drawn darkest and brightest
 uniform float uOpacity;      // below 1: absorption by a voxel of what is drawn
 uniform vec2 uOrigin, uJitter;
 uniform float uHeight;
-uniform bool uSkip, uCount;
+uniform bool uSkip, uCount, uLinear;
 out vec4 colour;
 
 const float FAR = 1e30;
 // {constants}
+const float CONE = 0.16;     // the quick light's towards the lamp
+const float DISC = 0.14;     // half the angle under which the lamp is seen, in the refined light
+const float SKY = 48.0;      // voxels as far as material keeps the sky out
 float samples = 0.0;
+
+#ifdef FINE
+bool isFine(vec3 p) {
+  return all(greaterThan(p, uFineLow)) && all(lessThan(p, uFineHigh));
+}
+
+// Edge of the voxels at a point, in voxels of the whole.
+float grain(vec3 p) {
+  return isFine(p) ? 1.0 / uFine : 1.0;
+}
+
+#else
+float grain(vec3 p) {
+  return 1.0;
+}
+#endif
 
 float field(vec3 p) {
   samples += 1.0;
+#ifdef FINE
+  if (isFine(p)) return textureLod(uFineField, (p - uFineLow) / (uFineHigh - uFineLow), 0.0).r;
+#endif
   return textureLod(uField, p * uInverse, 0.0).r;
+}
+
+// A number 0..1 of pixel, pass and use: the permutation of O'Neill's PCG (Jarzynski and Olano 2020).
+float random(uint use) {
+  uvec2 at = uvec2(gl_FragCoord.xy);
+  uint state = (at.x * 1973u + at.y * 9277u * 26699u) ^ (uint(uPass) * 668265263u + use * 374761393u);
+  state = state * 747796405u + 2891336453u;
+  uint word = ((state >> ((state >> 28u) + 4u)) ^ state) * 277803737u;
+  return float(((word >> 22u) ^ word) >> 8u) / 16777216.0;
+}
+
+vec3 randomDirection(uint use) {
+  float height = 2.0 * random(use) - 1.0, turn = 6.2831853 * random(use + 1u), wide = sqrt(1.0 - height * height);
+  return vec3(wide * cos(turn), wide * sin(turn), height);
 }
 
 bool isCut(vec3 p) {
@@ -44,6 +86,13 @@ float density(float level, vec3 p) {
   if (isCut(p)) return 0.0;
   samples += 1.0;
   vec3 inside = clamp(min(p, uSides - p) * exp2(-level) + 0.5, 0.0, 1.0);
+#ifdef FINE
+  // Means of the finer voxels: thin walls of the whole are thicker than theirs.
+  if (isFine(p)) {
+    vec3 at = (p - uFineLow) / (uFineHigh - uFineLow);
+    return textureLod(uFineField, at, level + log2(uFine)).r * inside.x * inside.y * inside.z;
+  }
+#endif
   return textureLod(uField, p * uInverse, level).r * inside.x * inside.y * inside.z;
 }
 
@@ -89,16 +138,16 @@ float firstInside(vec3 origin, float start, float stop) {
       return inside;
     } else {
       before = t;
-      t += 0.5;
+      t += 0.5 * grain(p);
     }
   }
   return FAR;
 }
 
 vec3 gradient(vec3 p) {
-  vec3 fall = vec3(field(p - vec3(1, 0, 0)) - field(p + vec3(1, 0, 0)),
-                   field(p - vec3(0, 1, 0)) - field(p + vec3(0, 1, 0)),
-                   field(p - vec3(0, 0, 1)) - field(p + vec3(0, 0, 1))) / uStretch;
+  vec3 h = vec3(grain(p), 0, 0);
+  vec3 fall = vec3(field(p - h.xyy) - field(p + h.xyy), field(p - h.yxy) - field(p + h.yxy),
+                   field(p - h.yyx) - field(p + h.yyx)) / uStretch;
   float size = length(fall);
   return size > 0.0 ? fall / size : uViewer;
 }
@@ -165,13 +214,26 @@ float openness(vec3 p, vec3 normal) {
   return LEAST + (1.0 - LEAST) * total / weight;
 }
 
-float wayThrough(vec3 p) {
+// Light from all round along one random ray, more often from above the surface: so that its mean is the sky that is seen.
+float opennessOfRay(vec3 p, vec3 normal) {
+  vec3 towards = normalize(normal + 0.999 * randomDirection(4u));
+  float way = 0.0, reach = 0.5;
+  for (int i = 0; i < 48 && reach < SKY && way < 3.0; i++) {
+    float size = max(0.7, 0.12 * reach);
+    way += size * clamp(2.0 * density(max(0.0, log2(reach * 0.12)), p + reach * towards / uStretch) - 0.4, 0.0, 1.0);
+    reach += size;
+  }
+  return LEAST + (1.0 - LEAST) * exp(-2.0 * way);
+}
+
+// Material in the way to the lamp, in voxels; `wide`: how fast the cone towards it opens.
+float wayThrough(vec3 p, vec3 lamp, float wide) {
   float way = 0.0, reach = 1.0;
   vec3 size = uSides * uStretch;
   float limit = 1.8 * max(size.x, max(size.y, size.z));
   for (int i = 0; i < 96 && reach < limit && way < 12.0; i++) {
-    float level = min(float(uLevels - 1), max(0.0, ceil(log2(reach * 0.16))));
-    vec3 q = p + reach * uLamp / uStretch;
+    float level = min(float(uLevels - 1), max(0.0, ceil(log2(reach * wide))));
+    vec3 q = p + reach * lamp / uStretch;
     if (any(lessThan(q, vec3(0.0))) || any(greaterThan(q, uSides))) break;
     float size = max(0.8, 0.2 * reach);
     way += size * clamp((density(level, q) - 0.2) * 1.8, 0.0, 1.0);
@@ -222,29 +284,59 @@ vec3 toSrgb(vec3 light) {
 vec3 substance(vec3 p, out vec4 finish) {
   finish = uFinish[uOnly];
   if (uKind == 0) return uAlbedo[uOnly];
+  ivec3 voxel = clamp(ivec3(floor(p)), ivec3(0), ivec3(uSides) - 1);
   if (uKind == 1) {
-    ivec3 voxel = clamp(ivec3(floor(p)), ivec3(0), ivec3(uSides) - 1);
     int label = int(texelFetch(uSource, voxel, 0).r * 255.0 + 0.5);
+#ifdef FINE
+    if (isFine(p)) label = int(texelFetch(uFineSource, ivec3((p - uFineLow) * uFine), 0).r * 255.0 + 0.5);
+#endif
     finish = uFinish[label];
     return uAlbedo[label];
   }
+#ifdef FIELD
+  if (uKind == 4) {
+    // In the bands of a still.
+    float band = (floor(texelFetch(uSource, voxel, 0).r * 255.0 / 256.0 * BANDS) + 0.5) / BANDS * 9.0;
+    return toLinear(mix(uRamp[int(band)], uRamp[min(int(band) + 1, 9)], fract(band)) / 255.0);
+  }
+#endif
   vec3 value = textureLod(uSource, p * uInverse, 0.0).rgb;
   if (uKind == 3) return toLinear(value);
   float bright = clamp((value.r - uWindow.x) / max(uWindow.y - uWindow.x, 1e-3), 0.0, 1.0);
   return mix(uAlbedo[0], uAlbedo[1], bright * bright);
 }
 
+#ifdef REFINED
+// One pass of the refined light: the lamp a disc, the sky by a random ray, and light that has entered the material about a
+// mean free path away from where it leaves.
+vec3 refined(vec3 p, vec3 step, vec3 normal, vec3 albedo, vec4 finish, vec3 tint) {
+  vec3 lamp = normalize(uLamp + DISC * sqrt(random(0u)) * randomDirection(1u));
+  float way = wayThrough(p + step, lamp, 0.04), inner = 0.0;
+  if (finish.w > 0.0) {
+    float most = 1.0 - min(albedo.r, min(albedo.g, albedo.b));
+    float path = min(4.0, -log(1.0 - 0.98 * random(6u)) / (finish.w + finish.z * most));
+    vec3 from = p - DEPTH * step + path * grain(p) * randomDirection(7u) / uStretch;
+    inner = wayThrough(from, lamp, 0.08);
+  }
+  return reflected(albedo, finish, tint, normal, way, inner, opennessOfRay(p + 0.5 * step, normal));
+}
+#endif
+
 vec3 solid(vec3 origin) {
   vec3 normal;
   bool flatFace;
   float t = hit(origin, normal, flatFace);
   if (t >= FAR) return uBackground;
-  vec3 p = origin + t * uDirection, step = normal / uStretch;
+  vec3 p = origin + t * uDirection, step = normal / uStretch * grain(origin + t * uDirection);
   vec4 finish;
-  vec3 albedo = substance(p - (uKind < 2 ? 0.25 : 0.5) * step, finish);
-  float way = wayThrough(p + step), inner = finish.w > 0.0 ? wayThrough(p - DEPTH * step) : 0.0;
+  vec3 albedo = substance(p - (uKind == 2 || uKind == 3 ? 0.5 : 0.25) * step, finish);
   vec3 tint = flatFace && uKind < 2 ? uDye : vec3(1.0);
+#ifdef REFINED
+  return refined(p, step, normal, albedo, finish, tint);
+#else
+  float way = wayThrough(p + step, uLamp, CONE), inner = finish.w > 0.0 ? wayThrough(p - DEPTH * step, uLamp, CONE) : 0.0;
   return reflected(albedo, finish, tint, normal, way, inner, openness(p + step, normal));
+#endif
 }
 
 // Emission and absorption along the ray, lit by the gradient; nothing is hidden from the lamp.
@@ -287,5 +379,5 @@ void main() {
     colour = vec4(floor(many / 256.0) / 255.0, mod(many, 256.0) / 255.0, 0.0, 1.0);
     return;
   }
-  colour = vec4(toSrgb(light), 1.0);
+  colour = vec4(uLinear ? light : toSrgb(light), 1.0);
 }

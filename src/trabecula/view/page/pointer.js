@@ -17,6 +17,7 @@ function pan(camera, cell, dx, dy) {
 
 function listen(app, canvas) {
   const fingers = new Map();
+  let began = null;
   const middle = () => {
     const all = [...fingers.values()];
     const x = all.reduce((sum, f) => sum + f.x, 0) / all.length, y = all.reduce((sum, f) => sum + f.y, 0) / all.length;
@@ -25,10 +26,17 @@ function listen(app, canvas) {
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    began = fingers.size === 1 ? { x: event.clientX, y: event.clientY } : null;
     app.choose(app.cellAt(event.offsetX, event.offsetY));
   });
   canvas.addEventListener("pointermove", (event) => {
-    if (!fingers.has(event.pointerId)) return;
+    if (!fingers.has(event.pointerId)) {
+      app.hover(event.offsetX, event.offsetY);
+      return;
+    }
+    // A press that trembles is still a press.
+    if (began && Math.hypot(event.clientX - began.x, event.clientY - began.y) < 4) return;
+    began = null;
     const before = middle();
     fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
     const now = middle(), camera = app.cameras[app.active], dx = now.x - before.x, dy = now.y - before.y;
@@ -39,7 +47,11 @@ function listen(app, canvas) {
     else turn(camera, dx, dy);
     app.redraw();
   });
-  const up = (event) => fingers.delete(event.pointerId);
+  const up = (event) => {
+    fingers.delete(event.pointerId);
+    if (event.type === "pointerup" && began) app.press(event.offsetX, event.offsetY);
+    began = null;
+  };
   for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, up);
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("wheel", (event) => {
@@ -63,9 +75,18 @@ function keys(app, event) {
   else if (event.key === "c") app.setCut({ corner: "planes", planes: "none", none: "corner" }[app.cut.mode]);
   else if (event.key === "l") app.setLook(after(Object.keys(TABLE.looks), app.look));
   else if (event.key === "s") app.screenshot();
+  else if (event.key === "m") app.measureBy(!app.measuring);
+  else if (event.key === "p") probeByKey(app);
   else return;
   event.preventDefault();
   app.redraw();
+}
+
+// Where the slices cross: read it, and set an end of the tape there while it is out.
+function probeByKey(app) {
+  const voxel = app.focusVoxel();
+  app.read(app.active, voxel);
+  if (app.measuring) app.tape.add(app.active, app.middleOf(voxel));
 }
 
 const after = (names, name) => names[(names.indexOf(name) + 1) % names.length];

@@ -9,6 +9,7 @@ their name this machine's address.
 from __future__ import annotations
 
 import contextlib
+import gzip
 import hmac
 import os
 import secrets
@@ -24,9 +25,16 @@ from trabecula.core.errors import InputError
 
 HOST = "127.0.0.1"
 
+Triple = tuple[int, int, int]
+Boxes = Callable[[int, int, Triple, Triple], bytes]
+"""Volume, fineness, first voxel and size (z, y, x), in voxels of the page -> voxels as bytes; an
+InputError where there is no such box.
+"""
+
 
 class PageServer(ThreadingHTTPServer):
-    """Server of `html` at `url`, which works once.
+    """Server of `html` at `url`, which works once; of finer voxels at /box where `boxes` gives
+    them.
 
     Raises
     ------
@@ -37,7 +45,7 @@ class PageServer(ThreadingHTTPServer):
     daemon_threads = True
     allow_reuse_address = False
 
-    def __init__(self, html: str, *, port: int = 0) -> None:
+    def __init__(self, html: str, *, port: int = 0, boxes: Boxes | None = None) -> None:
         if not 0 <= port <= 65535:
             raise InputError(f"port {port} is outside 0..65535 (0 takes a free one)")
         try:
@@ -48,6 +56,7 @@ class PageServer(ThreadingHTTPServer):
                 f"port {port} cannot be used ({reason}): leave --port out to take a free one"
             ) from error
         self.body = html.encode()
+        self.boxes = boxes
         self.token: str | None = secrets.token_urlsafe(32)
         self.cookie = secrets.token_urlsafe(32)
         self.lock = threading.Lock()
@@ -77,9 +86,12 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(403, "this address is not served here")
             return
         place = urlsplit(self.path)
-        if place.path != "/":
+        known = hmac.compare_digest(self._cookie().encode(), self.server.cookie.encode())
+        if place.path == "/box" and self.server.boxes is not None and known:
+            self._box(self.server.boxes, parse_qs(place.query))
+        elif place.path != "/":
             self._answer(404, "there is nothing here")
-        elif hmac.compare_digest(self._cookie().encode(), self.server.cookie.encode()):
+        elif known:
             self._answer(200, self.server.body, kind="text/html; charset=utf-8")
         elif self.server.spend(parse_qs(place.query).get("token", [""])[0]):
             # To the address without the token, so that no history keeps it.
@@ -89,6 +101,21 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(
                 403, "this page opens once, with the address that trabecula printed: run it again"
             )
+
+    def _box(self, boxes: Boxes, query: dict[str, list[str]]) -> None:
+        """Send a box of finer voxels."""
+        try:
+            volume, fine = (int(query[name][0]) for name in ("volume", "fine"))
+            low, size = (_triple(query[name][0]) for name in ("low", "size"))
+            voxels = boxes(volume, fine, low, size)
+        except InputError as error:
+            self._answer(400, str(error))
+        except (KeyError, ValueError):
+            self._answer(400, "write /box?volume=0&fine=2&low=z,y,x&size=z,y,x in whole numbers")
+        else:
+            packed = gzip.compress(voxels, compresslevel=1)
+            kind = "application/octet-stream"
+            self._answer(200, packed, kind=kind, headers={"Content-Encoding": "gzip"})
 
     @property
     def _name(self) -> str:
@@ -130,8 +157,18 @@ class _Handler(BaseHTTPRequestHandler):
         """Log nothing: the command line shows what matters."""
 
 
+def _triple(text: str) -> Triple:
+    z, y, x = (int(part) for part in text.split(","))
+    return z, y, x
+
+
 def serve(
-    html: str, *, port: int = 0, browser: bool = True, tell: Callable[[str], None] | None = None
+    html: str,
+    *,
+    port: int = 0,
+    browser: bool = True,
+    tell: Callable[[str], None] | None = None,
+    boxes: Boxes | None = None,
 ) -> None:
     """Serve a page until interrupted, and open a browser on it.
 
@@ -144,13 +181,15 @@ def serve(
         Open one.
     tell : callable, optional
         Gets a line with the address, to open it by hand.
+    boxes : Boxes, optional
+        Finer voxels of what the page shows in blocks.
 
     Raises
     ------
     InputError
         The port is taken; or no browser is found and `tell` is missing.
     """
-    with PageServer(html, port=port) as server:
+    with PageServer(html, port=port, boxes=boxes) as server:
         if browser and has_display() and webbrowser.open(server.url):
             place = f"{HOST}:{server.server_port}"
             line = f"the page is open in your browser, from {place}; Ctrl-C ends it"

@@ -11,14 +11,21 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
+from trabecula.engine.lazy_volume import Slabs, as_slabs
 from trabecula.io.units import has_length, to_metres
 from trabecula.measure.registry import DESCRIPTORS
 from trabecula.view.looks import find_look
-from trabecula.view.page.document import Page, document, pack
-from trabecula.view.page.fitting import FittedVolume, fit_volume
+from trabecula.view.page.document import Live, Page, document, pack
+from trabecula.view.page.fitting import FittedVolume, fit_field, fit_volume
+from trabecula.view.page.joining import join_labels
+from trabecula.view.page.server import Boxes, Triple
+from trabecula.view.volume import visible_phases
 
 MOST = 6
 """Volumes side by side."""
+
+_BOX = 256
+"""Voxels along an edge of the largest box of finer voxels that is sent."""
 
 _FULL = 1.25
 """Letters a voxel that a grey volume may take packed (10 MB for 200^3); beyond, it is shown in 64
@@ -27,10 +34,11 @@ greys.
 
 
 def view(
-    *images: Image | ArrayLike,
+    *images: Image | Slabs | ArrayLike,
     names: Sequence[str] | None = None,
     look: str = "bone",
     certificate: Any = None,
+    fields: Mapping[str, Image | ArrayLike] | None = None,
     title: str | None = None,
     height: int = 640,
 ) -> Page:
@@ -38,16 +46,19 @@ def view(
 
     Parameters
     ----------
-    *images : Image or array, (Z, Y, X) or (Y, X)
+    *images : Image, Slabs or array, (Z, Y, X) or (Y, X)
         Labels, grey or colour, such as an exemplar and what was made from it; 6 at most. More than
-        256^3 voxels are drawn as means of blocks (labels: the most frequent), and the page says so;
-        `crop` keeps a box at full resolution.
+        256^3 voxels are drawn as means of blocks (labels by their coverage, thin walls kept), and
+        the page says so; served by `show`, labels come in finer voxels where one zooms in.
     names : sequence of str, optional
         A name for each.
     look : {"bone", "foam", "bread", "sponge", "stone"}
         To begin with.
     certificate : Certificate or what its `to_json` gives, or a list of them, optional
         Whose key figures stand beside: one for each image, or for each but the first.
+    fields : mapping of name to grey Image or array, (Z, Y, X), optional
+        Thickness, velocity, stress, source map: each may colour the labels of its shape, and the
+        probe reads it. The first one does at the beginning.
     title : str, optional
         Of the page. Default: the names.
     height : int
@@ -62,9 +73,12 @@ def view(
     ------
     InputError
         No images or too many, not as many names or certificates, an unknown look, height out of
-        range.
+        range, a field of no image's shape.
     """
-    several = [as_image(image, name=f"image {index}") for index, image in enumerate(images)]
+    several = [
+        image if isinstance(image, Slabs) else as_image(image, name=f"image {index}")
+        for index, image in enumerate(images)
+    ]
     if not 1 <= len(several) <= MOST:
         raise InputError(f"a page shows 1 to {MOST} images, got {len(several)}")
     find_look(look)
@@ -74,11 +88,13 @@ def view(
     title = _text(" | ".join(named) if title is None else title)
     figures = key_figures(certificate, len(several))
     scales = _scales(several)
-    volumes, texts = [], []
-    for image, name, scale, rows in zip(
-        several, named, scales or [1.0] * len(several), figures, strict=True
+    tints = _check_fields(fields or {}, several)
+    volumes, texts, packed = [], [], dict[str, str]()
+    for k, (image, name, scale, rows) in enumerate(
+        zip(several, named, scales or [1.0] * len(several), figures, strict=True)
     ):
-        volume, text = _volume(image, name, scale, rows)
+        volume, text, found = _volume(image, name, scale, rows, tints[k])
+        packed |= {f"{k}-{j}": each for j, each in enumerate(found)}
         if scales is None and len(several) > 1:
             volume["notes"].append(
                 "no common unit: each volume fills its place, they are not to one scale"
@@ -86,7 +102,67 @@ def view(
         volumes.append(volume)
         texts.append(text)
     about = {"look": look, "aligned": scales is not None, "volumes": volumes}
-    return Page(document(title, about, texts), title, height)
+    html = document(title, about, texts, packed)
+    boxes, fine = _boxes(several, volumes), [_has_detail(volume) for volume in volumes]
+    if not any(fine):
+        return Page(html, title, height)
+    with_detail = [{**one, "detail": here} for one, here in zip(volumes, fine, strict=True)]
+    served = document(title, {**about, "volumes": with_detail}, texts, packed, live=True)
+    return Page(html, title, height, Live(served, boxes))
+
+
+def _has_detail(volume: Mapping[str, Any]) -> bool:
+    """Return whether there are finer voxels than the page holds, the same along every axis."""
+    block = volume["block"]
+    return volume["kind"] == "labels" and block[0] > 1 and len(set(block)) == 1
+
+
+def _boxes(images: Sequence[Image | Slabs], volumes: Sequence[Mapping[str, Any]]) -> Boxes:
+    """Return what gives a server the finer voxels of the images."""
+
+    def box(number: int, fine: int, low: Triple, size: Triple) -> bytes:
+        if not 0 <= number < len(volumes) or not _has_detail(volumes[number]):
+            raise InputError(f"volume {number} has no finer voxels than the page holds")
+        image, shape, edge = images[number], volumes[number]["shape"], volumes[number]["block"][0]
+        if fine < 1 or edge % fine:
+            raise InputError(f"fine {fine} does not divide a block of {edge} voxels")
+        spans = [(a, a + n) for a, n in zip(low, size, strict=True)]
+        if not all(0 <= a < b <= n for (a, b), n in zip(spans, shape, strict=True)):
+            raise InputError(f"box {low} of {size} is outside the volume of {shape}")
+        if prod(size) * fine**3 > _BOX**3:
+            raise InputError(f"a box has at most {_BOX}^3 voxels: ask for a smaller one")
+        volume = image if isinstance(image, Slabs) else as_slabs(image)
+        wanted = [(a * fine, b * fine) for a, b in spans]
+        return join_labels(volume, (edge // fine,) * 3, wanted).tobytes()
+
+    return box
+
+
+def _check_fields(
+    fields: Mapping[str, Image | ArrayLike], images: Sequence[Image | Slabs]
+) -> list[dict[str, np.ndarray]]:
+    """Return the fields of each image: those of its shape, finite."""
+    found: list[dict[str, np.ndarray]] = [{} for _ in images]
+    for name, field in fields.items():
+        given = field if isinstance(field, Image) else Image(np.asarray(field), "grey")
+        fits = [
+            k
+            for k, image in enumerate(images)
+            if image.kind == "labels" and image.ndim == 3 and image.shape == given.shape
+        ]
+        if given.kind != "grey" or not fits:
+            shapes = ", ".join(f"{image.kind} of {image.shape}" for image in images)
+            raise InputError(
+                f"field {name} is {given.kind} of shape {given.shape}, the images are {shapes}: "
+                "give a grey field of the shape of labels"
+            )
+        for k in fits:
+            if isinstance(images[k], Slabs):
+                raise InputError(
+                    f"field {name}: the volume is too large to be read whole; show a --crop"
+                )
+            found[k][_text(name)] = np.nan_to_num(given.values)
+    return found
 
 
 def _names(names: Sequence[str] | None, count: int) -> list[str]:
@@ -102,7 +178,7 @@ def _text(name: str) -> str:
     return str(name).encode(errors="replace").decode()
 
 
-def _scales(images: Sequence[Image]) -> list[float] | None:
+def _scales(images: Sequence[Image | Slabs]) -> list[float] | None:
     """Return the lengths of each image's unit in a shared one; None where they share none."""
     units = [image.unit for image in images]
     if len(set(units)) == 1:
@@ -111,9 +187,13 @@ def _scales(images: Sequence[Image]) -> list[float] | None:
 
 
 def _volume(
-    image: Image, name: str, scale: float, figures: list[list[str]]
-) -> tuple[dict[str, Any], str]:
-    """Return the facts of a volume for the page, and its voxels."""
+    image: Image | Slabs,
+    name: str,
+    scale: float,
+    figures: list[list[str]],
+    tints: Mapping[str, np.ndarray],
+) -> tuple[dict[str, Any], str, list[str]]:
+    """Return the facts of a volume for the page, its voxels and its fields."""
     fit, phases = fit_volume(image), _phases(image)
     values, notes = fit.values, _notes(image, fit)
     text = pack(values)
@@ -130,6 +210,9 @@ def _volume(
         "unit": image.unit,
         "scale": scale,
         "coarse": max(fit.block),
+        "block": list(fit.block),
+        "fields": [],
+        "field": 0 if tints else -1,
         "range": list(fit.range),
         "low": fit.ramp[0] if image.kind == "grey" else 0,
         "high": fit.ramp[1] if image.kind == "grey" else 0,
@@ -139,36 +222,48 @@ def _volume(
         "figures": figures,
         "notes": notes,
     }
-    return about, text
+    packed = []
+    if isinstance(image, Image):
+        for tint, field in tints.items():
+            drawn = np.isin(image.values, visible_phases(image, None))
+            levels, limits = fit_field(field, drawn, fit.block)
+            about["fields"].append({"name": tint, "limits": list(limits)})
+            packed.append(pack(levels))
+    return about, text, packed
 
 
-def _spacing(image: Image) -> np.ndarray:
+def _spacing(image: Image | Slabs) -> np.ndarray:
     """Return the spacing (z, y, x); a picture is as thick as its pixels are wide."""
     return np.array(image.spacing if image.ndim == 3 else (image.spacing[-1], *image.spacing))
 
 
-def _phases(image: Image) -> list[dict[str, Any]]:
+def _phases(image: Image | Slabs) -> list[dict[str, Any]]:
     """Return the phases, and which are drawn; of greys the dark and bright end, whose colours run
     into each other.
     """
     if image.kind != "labels":
         return [{"name": "dark", "visible": True}, {"name": "bright", "visible": True}]
     # A slice at a time: bincount widens what it counts to 8 bytes.
+    planes = (
+        (slab.values for slab in image.slabs(image.grain))
+        if isinstance(image, Slabs)
+        else image.values
+    )
     counts = np.sum(
-        [np.bincount(plane.ravel(), minlength=len(image.phases)) for plane in image.values], axis=0
+        [np.bincount(plane.ravel(), minlength=len(image.phases)) for plane in planes], axis=0
     )
     return [
         {
             "name": name,
             "visible": name != "void",
             "dark": name == "void",
-            "share": f"{count / image.values.size:.1%}",
+            "share": f"{count / prod(image.shape):.1%}",
         }
         for name, count in zip(image.phases, counts, strict=True)
     ]
 
 
-def _facts(image: Image, phases: Sequence[dict[str, Any]]) -> list[list[str]]:
+def _facts(image: Image | Slabs, phases: Sequence[dict[str, Any]]) -> list[list[str]]:
     unit = "voxels" if image.unit == "voxel" else image.unit
     sides = [f"{side * edge:.4g}" for side, edge in zip(image.shape, image.spacing, strict=True)]
     axes = "(z, y, x)" if image.ndim == 3 else "(y, x)"
@@ -188,14 +283,20 @@ def _facts(image: Image, phases: Sequence[dict[str, Any]]) -> list[list[str]]:
     return facts
 
 
-def _notes(image: Image, fit: FittedVolume) -> list[str]:
+def _notes(image: Image | Slabs, fit: FittedVolume) -> list[str]:
     if prod(fit.block) == 1:
         return []
-    what = "the most frequent label" if image.kind == "labels" else "the mean"
     block, shape = (" x ".join(map(str, sides)) for sides in (fit.block, fit.values.shape[:3]))
+    if image.kind != "labels":
+        return [
+            f"too large for a tab: drawn is the mean of blocks of {block} voxels, {shape} in all; "
+            "--crop keeps a box as it is"
+        ]
     return [
-        f"too large for a tab: drawn is {what} of blocks of {block} voxels, {shape} in all; --crop "
-        "keeps a box as it is"
+        f"too large for a tab: drawn are blocks of {block} voxels, {shape} in all, where half of a "
+        "block is material or a thin wall runs through it, which is then one block thick; shares "
+        "and figures are of all voxels. Served by `trabecula view`, finer voxels come where you "
+        "zoom in; --crop keeps a box as it is"
     ]
 
 

@@ -31,11 +31,14 @@ async function unpack(element, size) {
   return voxels;
 }
 
+// Of a byte of labels the last bit says that the voxel is a block which only a thin wall makes drawn (joining.py).
+const LABEL = 127;
+
 // How much is drawn of a voxel of that value: visible phases, or a ramp of greys.
 function drawnTable({ kind, phases, low, high }) {
   const table = new Uint8Array(256);
   for (let v = 0; v < 256; v++) {
-    if (kind === "labels") table[v] = v < phases.length && phases[v].visible ? 255 : 0;
+    if (kind === "labels") table[v] = phases[v & LABEL]?.visible ? 255 : 0;
     else if (high > low) table[v] = Math.round(255 * Math.min(1, Math.max(0, (v - low) / (high - low))));
     else table[v] = v >= low ? 255 : 0;
   }
@@ -44,6 +47,7 @@ function drawnTable({ kind, phases, low, high }) {
 
 // The field of one slice across z. Labels are blurred as blur_axis does for stills, so that no staircase is left: along z
 // from the voxels, then y, then x, with weights that sum to 256. A slice at a time, since a copy of all would not fit.
+// Blocks with a thin wall stay full: a tilted wall of one voxel would blur into holes.
 function fieldSlice({ voxels, shape: [depth, height, width], kind }, table, z, out, other) {
   const size = height * width, start = z * size;
   if (kind === "colour") {
@@ -74,6 +78,7 @@ function fieldSlice({ voxels, shape: [depth, height, width], kind }, table, z, o
       out[row + x] = (128 + w0 * (other[far] + other[last]) + w1 * (other[near] + other[next]) + w2 * other[row + x]) >> 8;
     }
   }
+  for (let i = 0; i < size; i++) if (voxels[start + i] > LABEL && table[voxels[start + i]]) out[i] = 255;
 }
 
 function brightness(voxels, at) {
@@ -81,19 +86,23 @@ function brightness(voxels, at) {
 }
 
 // A slice of labels in which hidden voxels beside drawn ones take theirs: blurring may move a surface by half a voxel.
-function spreadSlice({ voxels, shape: [depth, height, width], phases }, z, out) {
-  const seen = phases.map((phase) => phase.visible), size = height * width, start = z * size;
+// `values` are what is spread: the labels themselves, or a field.
+function spreadSlice({ voxels, shape: [depth, height, width], phases }, values, z, out) {
+  const seen = Array.from({ length: 256 }, (_, v) => phases[v & LABEL]?.visible), size = height * width, start = z * size;
+  const mask = values === voxels ? LABEL : 255;
   for (let y = 0, i = 0; y < height; y++) {
     for (let x = 0; x < width; x++, i++) {
       const at = start + i;
-      out[i] = voxels[at];
-      if (seen[voxels[at]]) continue;
-      if (z > 0 && seen[voxels[at - size]]) out[i] = voxels[at - size];
-      else if (z < depth - 1 && seen[voxels[at + size]]) out[i] = voxels[at + size];
-      else if (y > 0 && seen[voxels[at - width]]) out[i] = voxels[at - width];
-      else if (y < height - 1 && seen[voxels[at + width]]) out[i] = voxels[at + width];
-      else if (x > 0 && seen[voxels[at - 1]]) out[i] = voxels[at - 1];
-      else if (x < width - 1 && seen[voxels[at + 1]]) out[i] = voxels[at + 1];
+      let from = at;
+      if (!seen[voxels[at]]) {
+        if (z > 0 && seen[voxels[at - size]]) from = at - size;
+        else if (z < depth - 1 && seen[voxels[at + size]]) from = at + size;
+        else if (y > 0 && seen[voxels[at - width]]) from = at - width;
+        else if (y < height - 1 && seen[voxels[at + width]]) from = at + width;
+        else if (x > 0 && seen[voxels[at - 1]]) from = at - 1;
+        else if (x < width - 1 && seen[voxels[at + 1]]) from = at + 1;
+      }
+      out[i] = values[from] & mask;
     }
   }
 }
@@ -105,18 +114,22 @@ class Blocks {
     this.away = new Uint8Array(this.size[0] * this.size[1] * this.size[2]).fill(255);
   }
 
-  // A point of a block reads its voxels and one more to each side: so a voxel counts for the blocks beside it too.
-  reach(at, axis) {
-    const edge = TABLE.block;
-    return [Math.max(0, Math.floor((at - 1) / edge)), Math.min(this.size[axis] - 1, Math.floor((at + 1) / edge))];
+  copy() {
+    return Object.assign(Object.create(Blocks.prototype), { size: this.size, away: this.away.slice() });
   }
 
-  // Mark where a slice holds more than `least`.
-  add(slice, z, [, height, width], least) {
-    const [, ny, nx] = this.size, [z0, z1] = this.reach(z, 0);
-    const across = Array.from({ length: width }, (_, x) => this.reach(x, 2));
+  // A point of a block reads its voxels and one more to each side: so a voxel counts for the blocks beside it too.
+  reach(at, axis, { low = [0, 0, 0], fine = 1 }) {
+    const edge = TABLE.block * fine, place = low[2 - axis] * fine + at;
+    return [Math.max(0, Math.floor((place - 1) / edge)), Math.min(this.size[axis] - 1, Math.floor((place + 1) / edge))];
+  }
+
+  // Mark where a slice holds more than `least`; of a box of finer voxels, which begins at `low` (x, y, z).
+  add(slice, z, [, height, width], least, place = {}) {
+    const [, ny, nx] = this.size, [z0, z1] = this.reach(z, 0, place);
+    const across = Array.from({ length: width }, (_, x) => this.reach(x, 2, place));
     for (let y = 0, i = 0; y < height; y++) {
-      const [y0, y1] = this.reach(y, 1);
+      const [y0, y1] = this.reach(y, 1, place);
       for (let x = 0; x < width; x++, i++) {
         if (slice[i] <= least) continue;
         const [x0, x1] = across[x];

@@ -150,13 +150,7 @@ def values_by_phase(
         shape if channels == 1 else (*shape, channels), targets[0][0].values.dtype
     )
     for phase, histograms in enumerate(targets):
-        within = make_by_slabs(
-            lambda a, b, phase=phase: (
-                (structure[a:b] == phase) & (True if inside is None else inside[a:b])
-            ),
-            shape,
-            bool,
-        )
+        within = _voxels_of(structure, phase, inside)
         tables = [
             matching_table(field, target, within)
             for field, target in zip(fields, histograms, strict=True)
@@ -174,6 +168,16 @@ def values_by_phase(
 
         for_slabs(work, len(values))
     return values
+
+
+def _voxels_of(structure: np.ndarray, phase: int, inside: np.ndarray | None) -> np.ndarray:
+    """Mark the voxels of a phase, of those inside."""
+
+    def mark(start: int, stop: int) -> np.ndarray:
+        there = structure[start:stop] == phase
+        return there if inside is None else there & inside[start:stop]
+
+    return make_by_slabs(mark, structure.shape, bool)
 
 
 def plain_values(fields: np.ndarray, *, low: float, high: float, dtype: np.dtype) -> np.ndarray:

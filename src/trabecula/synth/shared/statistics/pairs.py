@@ -32,14 +32,14 @@ _AT_ONCE = 1 << 13  # complex values that are transformed in one call, unless a 
 
 _CONE = np.cos(np.pi / 8) ** 2
 
-_LINES = [
+LINES = [
     line
     for line in product((0, 1), (-1, 0, 1), (-1, 0, 1))
     if next((step for step in line if step), 0) > 0
 ]
 """Directions (z, y, x) from a voxel to the 13 of its 26 neighbours that the others mirror."""
 
-AXES, DIAGONAL = 3, len(_LINES)
+AXES, DIAGONAL = 3, len(LINES)
 """Directions by which pairs are binned: the axes alone, or their diagonals as well."""
 
 
@@ -286,7 +286,7 @@ def _nearest_line(z: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return the number of the direction to which an offset (sparse grids) lies nearest."""
     longest = np.full(np.broadcast_shapes(z.shape, y.shape, x.shape), -1.0)
     nearest = np.zeros(longest.shape, np.int64)
-    for number, (a, b, c) in enumerate(_LINES):
+    for number, (a, b, c) in enumerate(LINES):
         along = np.abs(a * z + b * y + c * x) / math.sqrt(a * a + b * b + c * c)
         nearest[along > longest] = number
         np.maximum(longest, along, out=longest)

@@ -1,5 +1,5 @@
-"""New material rather than moved patches: the way of `novelty` above 0, instead of search from
-random patches.
+"""New material rather than moved patches: the way of `texture` with `novelty`, and of a picture
+beside a relative in space.
 
 The coarsest level is laid out by sliced rounds, which copy nothing; then a few rounds of search and
 vote with narrow neighbourhoods make interfaces those of the exemplar. After each a step on the
@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -52,7 +52,6 @@ from trabecula.synth.shared.statistics.two_point_steps import (
     step_stages,
     two_point_step,
 )
-from trabecula.synth.texture.config import TextureConfig
 
 COARSEST = 2
 """The level that sliced rounds lay out, at most: 4 times coarser than the result."""
@@ -75,6 +74,31 @@ _SLICED_ROUNDS, _SHORT_ROUNDS, _STEP_EVERY = 30, 20, 5
 _MOVED = 16  # rounds on the coarsest level at hardly any novelty
 _WIDE_FROM = 5  # so many of them let finer levels have wide neighbourhoods
 _WIDEST = 8  # voxels of the widest neighbourhood
+
+
+class NovelSettings(Protocol):
+    """Settings of a run: the layout ("structure" or "coarse"), what is kept of neighbourhoods, and
+    how they are searched for and vote.
+    """
+
+    @property
+    def layout(self) -> str: ...
+    @property
+    def short(self) -> bool: ...
+    @property
+    def clip(self) -> float: ...
+    @property
+    def variance(self) -> float: ...
+    @property
+    def components(self) -> int: ...
+    @property
+    def sweeps(self) -> int: ...
+    @property
+    def tries(self) -> int: ...
+    @property
+    def index_penalty(self) -> float: ...
+    @property
+    def robustness(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -151,11 +175,7 @@ def passes(
     )
     every = (*coarser, *finest)
     if short:
-        # steps in one direction leave more handles, which less interface takes away
-        every = tuple(
-            replace(p, first=2.0, later=0.5, tries=0.5, roughest=rough)
-            for p, rough in zip(every, (*[0.95] * len(coarser), 1.0, 0.97), strict=True)
-        )
+        every = tuple(replace(p, first=2.0, later=0.5, tries=0.5) for p in every)
     if beside:
         return tuple(replace(p, steps=0, beyond=0.0) for p in every)
     return every
@@ -203,7 +223,7 @@ def aims_of(
     level: int,
     edges: tuple[float, ...],
     schedule: Sequence[Pass],
-    config: TextureConfig,
+    config: NovelSettings,
 ) -> Aims:
     """Learn one level; `fields` are the exemplars themselves in int8, without turned copies."""
     directions = DIAGONAL if config.layout == "structure" else AXES
@@ -347,7 +367,7 @@ class NovelRounds(CoarseToFine[Any]):
         slices: SliceTarget,
         schedule: Sequence[Pass],
         request: Request,
-        config: TextureConfig,
+        config: NovelSettings,
         around: Sequence[Region] = (),
     ) -> None:
         self.aims, self.slices = aims, slices

@@ -11,17 +11,23 @@ sampling").
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.core.request import Request
+from trabecula.core.seeds import generator
 from trabecula.engine.chunking import Box
 from trabecula.engine.memory import Array, Stage
 from trabecula.measure.labelling import label_components
 from trabecula.measure.runs import RUN_BYTES, Runs, runs_of
 from trabecula.synth.shared.content.fields import FULL, UNIT
+from trabecula.synth.shared.content.kinds import Labels, free_voxels
+
+_SETTLED = 3  # times that the bodies of all phases are counted and settled
 
 _PART = 3
 """A body is small where this many fit side by side along every axis, of the exemplar and of the
@@ -224,6 +230,38 @@ def settle_small_bodies(
             canvas.remove(before, place, box, label)
             report["removed"] += 1
     return {name: round(count) for name, count in report.items()}
+
+
+def settle_phases(
+    votes: np.ndarray,
+    content: Labels,
+    small: Mapping[int, SmallBodies],
+    request: Request,
+    *,
+    name: str,
+) -> dict[str, Any]:
+    """Bring the small bodies of every label of `small` to their numbers, in votes (C, Z, Y, X)
+    int16; return what was done by the names of phases.
+
+    The bodies change the volume fractions, and what restores these may cut off others: so
+    again. `name` is that of the method, of whose seed places are drawn.
+    """
+    report: dict[str, Any] = {}
+    free = free_voxels(request)
+    for number in range(_SETTLED):
+        values = content.to_values(votes, request)
+        for label, bodies in small.items():
+            report[content.names[label]] = settle_small_bodies(
+                votes,
+                values,
+                bodies,
+                label,
+                content.present,
+                draw=generator(request.seed, f"{name}/bodies/{label}", number),
+                periodic=request.periodic,
+                mask=free,
+            )
+    return report
 
 
 def body_stages(shape: Sequence[int], channels: int, *, known: bool) -> tuple[Stage, ...]:

@@ -1,0 +1,136 @@
+"""Bone graded by four kinds of field: fractions, connectivity, and whether windows look as the
+scan's windows of equal fraction do.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+import trabecula as tb
+from common import asked, busy, pictures, table
+from descriptors import scans
+from trabecula import fields
+from trabecula.view.slices import montage
+
+SHAPE = (96, 96, 128)
+BONES = ("bone a", "bone b", "bone with cortex")
+KINDS = ("ramp", "radial", "simp", "drawn")
+FIGURES = ("thickness", "chord_length", "specific_surface", "anisotropy")
+SIZE, STEP = 20, 6
+"""Windows of the fraction."""
+WIDE, NEAR, ALIKE, LEAST = 40, 25, 0.04, 12
+"""Windows of the other figures, voxels a side; each is held against the NEAR windows of the scan of
+the nearest fraction, at most ALIKE away, where there are LEAST."""
+
+
+def graded_bone_fields() -> None:
+    """Three scans of bone, 96^3 of each, graded by a ramp, a radial field, a cantilever's density
+    and a drawn one, 96 x 96 x 128; by `texture`, and by `quilt` where TRABECULA_BENCH_METHODS names
+    it.
+
+    `frac`: fraction of windows of 20^3 less the field's mean in them. Of each figure: mean ratio of
+    windows of 40^3 to the scan's windows of equal fraction, and the share of them within 2.6
+    standard deviations of those.
+    """
+    row = table("case", "frac mean", "frac max", "parts", *FIGURES, "seconds", wide=34)
+    every = scans()
+    for name in (bone for bone in BONES if bone in every):
+        scan = every[name]
+        exemplar, own = tb.crop(scan, 96), figures_of(np.asarray(scan.values), step=WIDE)
+        held = fields.windowed(exemplar, size=SIZE, names=["volume_fraction"])["volume_fraction"]
+        low, high = (float(value) for value in np.quantile(held, [0.05, 0.95]))
+        for method in asked("METHODS") or ["texture"]:
+            model = tb.method(method).fit(exemplar)
+            model.generate((32, 32, 48), seed=1, target={"volume_fraction": 0.2})  # kernels
+            shown = []
+            for kind in KINDS:
+                limits = (0.1, 0.3) if (name, kind) == (BONES[2], "radial") else (low, high)
+                field = field_of(kind, *limits)
+                request = tb.Request(SHAPE, seed=1, target={"volume_fraction": field})
+                seconds, made = busy(lambda m=model, r=request: m.generate(r))
+                off = errors(made.values, field)
+                row(
+                    f"{name}, {kind}, {method}",
+                    f"{off.mean():.4f}",
+                    f"{off.max():.4f}",
+                    tb.measure.components(made),
+                    *beside(figures_of(np.asarray(made.values), step=28), own),
+                    f"{seconds:.1f}",
+                )
+                shown.append(made.values[SHAPE[0] // 2])
+            folder = pictures()
+            if folder:
+                sections = [tb.Image(values, "labels") for values in shown]
+                label = f"graded-{name}-{method}".replace(" ", "-")
+                tb.write(montage(sections, list(KINDS)), folder / f"{label}.png")
+
+
+def field_of(kind: str, low: float, high: float) -> np.ndarray:
+    """Return a field of volume fractions between two limits, of `SHAPE`."""
+    _, y, x = np.indices(SHAPE)
+    if kind == "ramp":
+        return np.asarray(fields.ramp(SHAPE, axis="x", start=low, end=high))
+    if kind == "simp":
+        density = fields.rescale(fields.simp("cantilever", low=0.3, high=0.85), low=low, high=high)
+        return np.asarray(fields.resample(density, SHAPE))
+    if kind == "radial":
+        middle = [(side - 1) / 2 for side in SHAPE]
+        share = np.hypot(y - middle[1], x - middle[2]) / (min(SHAPE[1:]) / 2)
+    else:  # drawn: two dense places
+        share = np.exp(-((y - 30) ** 2 + (x - 35) ** 2) / 648)
+        share += np.exp(-((y - 65) ** 2 + (x - 95) ** 2) / 968)
+    return (low + (high - low) * np.clip(share, 0, 1)).astype(np.float32)
+
+
+def errors(values: np.ndarray, field: np.ndarray) -> np.ndarray:
+    """Return differences of the fraction of windows from the field's mean in them."""
+    means = []
+    for part in (np.asarray(values) > 0, field):
+        sums = np.pad(part.astype(np.float64), ((1, 0),) * 3)
+        for axis in range(3):
+            sums = sums.cumsum(axis)
+            sums = sums.take(np.arange(SIZE, sums.shape[axis]), axis) - sums.take(
+                np.arange(sums.shape[axis] - SIZE), axis
+            )
+        means.append(sums[::STEP, ::STEP, ::STEP] / SIZE**3)
+    return np.abs(means[0] - means[1])
+
+
+def figures_of(values: np.ndarray, *, step: int) -> np.ndarray:
+    """Return the fraction and `FIGURES` of windows, (n, 5)."""
+    found = []
+    for place in np.ndindex(tuple((side - WIDE) // step + 1 for side in values.shape)):
+        box = tuple(slice(at * step, at * step + WIDE) for at in place)
+        window = tb.Image(np.ascontiguousarray(values[box] > 0).astype(np.uint8), "labels")
+        fraction = float(window.values.mean())
+        if not 0.01 < fraction < 0.99:
+            continue
+        found.append([fraction, *(_mean(getattr(tb.measure, name)(window)) for name in FIGURES)])
+    return np.array(found)
+
+
+def _mean(value: Any) -> float:
+    """Return the mean of a figure that may be one a direction."""
+    return float(np.mean(list(value.values()) if isinstance(value, dict) else value))
+
+
+def beside(made: np.ndarray, own: np.ndarray) -> list[str]:
+    """Return, of every figure, the mean ratio to the scan's windows of equal fraction and the share
+    of windows in their band.
+    """
+    cells = []
+    for column in range(1, made.shape[1]):
+        ratios, inside = [], []
+        for window in made:
+            apart = np.abs(own[:, 0] - window[0])
+            near = own[np.argsort(apart)[:NEAR]]
+            near = near[np.abs(near[:, 0] - window[0]) < ALIKE, column]
+            if len(near) < LEAST:
+                continue
+            reach = 2.6 * near.std(ddof=1) * np.sqrt(1 + 1 / len(near))
+            ratios.append(window[column] / near.mean())
+            inside.append(abs(window[column] - near.mean()) <= reach)
+        cells.append(f"{np.mean(ratios):.2f} ({np.mean(inside):.2f})" if ratios else "-")
+    return cells

@@ -1,0 +1,163 @@
+"""From a relative in space to a volume: its neighbourhoods in three dimensions, the picture's
+two-point function, interface and fraction.
+
+The rounds are those of new material from a scan (`shared.novel_layout`): a layout by sliced rounds,
+then search and vote with cubes, each followed by steps on the two-point function. Their target is
+the relative's own soft two-point function, changed by what the picture's differs from it: distances
+in a plane are not those in space, so soft functions of the two are not alike, those of 0 and 1 are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.errors import RequestError
+from trabecula.core.request import Request
+from trabecula.engine.memory import Stage
+from trabecula.exemplar.views import View
+from trabecula.synth.kopf.config import RelativeSettings
+from trabecula.synth.kopf.relative import AdaptedRelative, SliceStatistics, adapt_relative
+from trabecula.synth.shared import novel_layout
+from trabecula.synth.shared.content.fields import quantise
+from trabecula.synth.shared.content.kinds import Labels, content_of
+from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.matching.sources import Stack
+from trabecula.synth.shared.pyramid import fit_to, halve
+from trabecula.synth.shared.small_bodies import (
+    SmallBodies,
+    body_stages,
+    learn_small_bodies,
+    settle_phases,
+)
+from trabecula.synth.shared.stages import value_stages
+from trabecula.synth.shared.statistics.pairs import LINES
+from trabecula.synth.shared.statistics.slices import SliceTarget
+from trabecula.synth.shared.statistics.two_point import Correlations
+
+_LAYOUT_BYTES = 120  # of a voxel of the relative while it is learnt, besides what is kept
+
+
+@dataclass(frozen=True)
+class RelativeModel:
+    """What is learnt from a relative and pictures."""
+
+    adapted: AdaptedRelative
+    aims: tuple[novel_layout.Aims, ...]
+    slices: SliceTarget
+    schedule: tuple[novel_layout.Pass, ...]
+    small: Mapping[int, SmallBodies]
+    settings: RelativeSettings
+
+    @classmethod
+    def of(cls, request: Request, views: Sequence[View], present: Sequence[int]) -> RelativeModel:
+        """Learn the relative of a request.
+
+        Raises
+        ------
+        RequestError
+            As `adapt_relative`.
+        """
+        assert request.like is not None
+        adapted, settings = adapt_relative(request.like, views, present), RelativeSettings()
+        top = novel_layout.top_for([adapted.image], settings.layout)
+        schedule = novel_layout.passes(1.0, top, settings.layout)
+        field = content_of([adapted.image]).fields(adapted.image)
+        aims = []
+        for level in range(top + 1):
+            own = quantise(field, clip=settings.clip, unit=2**level)
+            edges = (1.0, 1.0, 1.0)
+            learnt = novel_layout.aims_of(Stack.of([own]), [own], level, edges, schedule, settings)
+            aims.append(_aim_at_picture(learnt, level, adapted))
+            field = halve(field)
+        small = {label: learn_small_bodies([adapted.image], label) for label in present}
+        slices = novel_layout.slices_for([own])
+        return cls(adapted, tuple(aims), slices, schedule, small, settings)
+
+    @property
+    def top(self) -> int:
+        """Return the level that sliced rounds lay out."""
+        return len(self.aims) - 1
+
+    def check(self, request: Request) -> None:
+        """Raise where a periodic axis is too short to be laid out."""
+        least = self._least
+        for axis, side, wraps in zip("zyx", request.shape, request.periodic, strict=True):
+            if wraps and side < least:
+                raise RequestError(
+                    f"the shape is {request.shape}, beside a relative a periodic axis has at least "
+                    f"{least} voxels: make {axis} longer, or leave it out of periodic"
+                )
+
+    @property
+    def _least(self) -> int:
+        """Return the voxels along an axis that a layout needs."""
+        return novel_layout.LEAST * 2**self.top
+
+    def rounds(self, request: Request) -> novel_layout.NovelRounds:
+        """Prepare a run, of a longer volume where an axis is too short."""
+        roomy = replace(request, shape=tuple(max(side, self._least) for side in request.shape))
+        return novel_layout.NovelRounds(self.aims, self.slices, self.schedule, roomy, self.settings)
+
+    def make(self, request: Request, content: Labels) -> tuple[np.ndarray, dict[str, Any]]:
+        """Return the values of a request, with the fractions of `content`, and a report."""
+        votes = fit_to(novel_layout.make_novel(self.rounds(request)), request.shape)
+        settled = settle_phases(votes, content, self.small, request, name="kopf")
+        values = content.to_values(votes, request)
+        return values, {"like": {**self.adapted.report, "small_bodies": settled}}
+
+    def stages(self, request: Request, *, nbytes: int, mapped: bool = False) -> tuple[Stage, ...]:
+        """Declare the arrays of a run whose result takes `nbytes`."""
+        rounds, last = self.rounds(request), self.aims[0].candidates[-1]
+        covered = Region(rounds.shapes[0], (True,) * 3).cover(box=last.basis.box, steps=last.steps)
+        return (
+            *rounds.stages(mapped=mapped),
+            *body_stages(request.shape, 1, known=False),
+            *value_stages(request, covered.shape, 1, nbytes=nbytes, distances=True),
+        )
+
+    @property
+    def nbytes(self) -> int:
+        """Return the bytes that are held."""
+        kept = [candidates for aim in self.aims for candidates in aim.candidates]
+        fields = sum(aim.stack.field.nbytes for aim in self.aims)
+        held = sum(c.features.nbytes + 9 * c.allowed.nbytes for c in kept)
+        return fields + held + _LAYOUT_BYTES * self.adapted.image.values.size
+
+
+def _aim_at_picture(
+    aims: novel_layout.Aims, level: int, adapted: AdaptedRelative
+) -> novel_layout.Aims:
+    """Return the targets of a level with the picture's two-point function and interface."""
+    moved = _move_target(aims.correlations, level, adapted.own, adapted.picture)
+    share = aims.interface
+    if share is not None:
+        share = share * (adapted.picture.interface / adapted.own.interface)
+    return replace(aims, correlations=moved, interface=share)
+
+
+def _move_target(
+    target: Correlations, level: int, own: SliceStatistics, picture: SliceStatistics
+) -> Correlations:
+    """Add what the pictures' two-point function is above the relative's, along an axis or on the
+    mean of those that a diagonal lies between.
+
+    Below a correlation length less and less of it, and nothing at 0: there it is the interface's,
+    of which soft functions see little. Steps that aim at all of it draw fringes and loops (Berea,
+    64^3: Euler density 2.5 times that of the relative).
+    """
+    reach = min(own.two_point.shape[1], picture.two_point.shape[1]) - 1
+    change = picture.two_point[:, : reach + 1] - own.two_point[:, : reach + 1]
+    change -= change[:, :1] * np.ones(reach + 1)  # the fractions differ by a voxel at most
+    change[:, reach] = 0
+    distances = np.arange(target.r_max + 1) * 2**level
+    share = np.minimum(1, distances / np.mean(picture.lengths))
+    along = [share * np.interp(distances, np.arange(reach + 1), line, right=0.0) for line in change]
+    rows = [
+        np.mean([line for line, step in zip(along, way, strict=True) if step], axis=0)
+        for way in LINES
+    ]
+    return replace(target, curves=target.curves + np.concatenate(rows))
