@@ -11,7 +11,7 @@ from trabecula import fields
 from trabecula.errors import InputError
 from trabecula.fields.topology.cases import case, to_json
 from trabecula.fields.topology.displacements import solve_displacements
-from trabecula.fields.topology.elements import ElementGrid
+from trabecula.fields.topology.elements import ElementGrid, _rigid_rows
 from trabecula.fields.topology.places import EVERYWHERE, PartNodes, Place
 from trabecula.mesh.base import Mesh
 from trabecula.mesh.files import write_mesh
@@ -293,3 +293,9 @@ def test_loads_along_what_is_held_need_no_more_supports():
     loads = [{"box": [(1, 1), (0, 1), (0, 1)], "force": (-1, 0, 0)}]
     found = fields.simp({"shape": (3, 3, 3), "supports": supports, "loads": loads})
     assert found.shape == (3, 3, 3)
+
+
+def test_rigid_rotations_move_no_place_nearer():
+    places = np.random.default_rng(0).normal(size=(20, 3))
+    motions = np.stack([_rigid_rows(places, axis) for axis in range(3)], axis=1)
+    np.testing.assert_allclose(np.einsum("na,nam->nm", places, motions[..., 3:]), 0, atol=1e-12)

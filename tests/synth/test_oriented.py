@@ -9,7 +9,7 @@ from trabecula.core.errors import RequestError
 from trabecula.core.recipe import Recipe
 from trabecula.pipeline.replay import replay
 from trabecula.synth.lattice.mapping import cell_map
-from trabecula.synth.noise.turned import principal_axis
+from trabecula.synth.noise.turned import TurnedField, principal_axis
 from trabecula.synth.shared.frames import frames_of, turn_onto
 
 SHAPE = (48, 32, 32)
@@ -64,6 +64,13 @@ def test_the_longest_length_is_the_axis_of_noise():
     assert abs(principal_axis(model._filter())[1]) > 0.999
     columns = tb.method("noise", length=12, covariance="wave", cones=(0, 25, 25)).fit(spacing=1.0)
     assert abs(principal_axis(columns._filter())[0]) > 0.99
+
+
+def test_a_turned_filter_has_its_axis_on_the_direction():
+    part = tb.method("noise", length=(12, 4, 4)).fit(spacing=1.0)._filter()
+    request = tb.Request(8, target={"orientation": (3, 0, 4)})
+    turned = TurnedField(part, request).field.filters[0]
+    assert abs(principal_axis(turned) @ [0.6, 0, 0.8]) > 0.999
 
 
 def test_noise_of_one_direction_is_that_of_its_lengths():
