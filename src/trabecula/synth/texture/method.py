@@ -81,7 +81,7 @@ from trabecula.synth.texture.grey_levels import (
     learn_levels,
     trial_bytes,
 )
-from trabecula.synth.texture.joined import Struts, struts_of
+from trabecula.synth.texture.joined import StrutShape, struts_of
 from trabecula.synth.texture.scan_phases import ScanPhases, find_phases
 
 # of the windows that tell dense places from sparse ones: structure lengths, voxels at least, and
@@ -437,7 +437,7 @@ class TextureModel(Model):
         return regions_of(replace(request, mask=None), self.top + 1, bounds, self._quantise)
 
     @cached_property
-    def _struts(self) -> list[Struts | None]:
+    def _struts(self) -> list[StrutShape | None]:
         """Measure the solid that is to be one component, on every level; empty where none is."""
         if self.config.connected == "none" or not isinstance(self.content, Labels):
             return []
