@@ -25,9 +25,9 @@ from trabecula.synth.texture.config import TextureConfig
 
 STAGES = {
     "sliced": ("transport_neighbourhoods",),
-    "two-point": ("two_point_step", "misfit"),
+    "two-point": ("two_point_step", "misfit", "torus_step"),
     "project": ("features_of",),
-    "search": ("search_sweep", "exact_search"),
+    "search": ("_search_sweep", "exact_search"),
     "vote": ("cast_votes", "energy_vote"),
     "histogram": ("match_votes", "match_histogram"),
     "choice": ("brightest_voxels",),

@@ -75,7 +75,7 @@ def test_pictures_of_several_planes_scale_every_axis_alone():
     [
         (material((40, 40, 40), 2.0, 1, share=0.8), "volume fraction of solid is 0.800"),
         (material((40, 40, 40), 0.0, 1), "correlation length along z"),
-        (material((56, 56, 56), (0.8, 3.0, 3.0), 1), "two-point function of the relative along"),
+        (material((64, 64, 64), (0.6, 5.0, 5.0), 1), "two-point function of the relative along"),
         (material((18, 18, 18), 2.0, 1), "at least 24 voxels"),
         (tb.Image(np.zeros((40, 40, 40), np.uint8), "labels"), "volume fraction"),
         (tb.Image(np.zeros((40, 40, 40), np.uint8), "labels", phases=("air", "rock")), "phases"),

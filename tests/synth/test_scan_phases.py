@@ -143,4 +143,4 @@ def test_products_tell_thin_bodies_from_thick_ones(truth):
 
 def test_recipes_that_do_not_name_it_have_two_phases():
     assert TextureConfig.recorded({})["scan_phases"] == "two"
-    assert TextureConfig.recorded({"scan_phases": "told"})["scan_phases"] == "told"
+    assert TextureConfig.recorded({"scan_phases": "found"})["scan_phases"] == "found"

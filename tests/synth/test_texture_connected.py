@@ -13,10 +13,10 @@ from trabecula.measure.smooth import gaussian
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.final_shape import soften
-from trabecula.synth.texture.joined import StrutShape, join_components
+from trabecula.synth.texture.joined import StrutField, join_components
 from trabecula.synth.texture.local_offset import LocalOffset
 
-STRUTS = StrutShape(upper=True, radius=1.6, unit=30.0)
+STRUTS = StrutField(upper=True, radius=1.6, unit=30.0)
 
 
 def two_balls(sign=1):
@@ -31,7 +31,7 @@ def two_balls(sign=1):
 @pytest.mark.parametrize("upper", [True, False])
 def test_a_strut_of_the_samples_thickness_joins_and_crumbs_go(upper):
     field = two_balls(1 if upper else -1)
-    struts = StrutShape(upper=upper, radius=1.6, unit=30.0)
+    struts = StrutField(upper=upper, radius=1.6, unit=30.0)
     assert join_components(field, Region(field.shape[1:]), struts) == 1
     solid = field[0] > 0 if upper else field[0] <= 0
     _, sizes = label_components(solid)

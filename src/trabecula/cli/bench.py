@@ -21,7 +21,7 @@ _PARTS = {
     "that are saved)",
     "device": "of the case gan_paper: cuda or cpu (default: cuda)",
     "minutes": "of the case gan_paper: minutes of this command (default: 24)",
-    "state": "of the case gan_paper: folder of the checkpoint that the next command goes on from "
+    "state": "of the case gan_paper: folder of the checkpoint that the next command resumes from "
     "(default: state in the folder --out)",
     "side": "of the cases named image, fusion and big: voxels a side of what is made",
 }

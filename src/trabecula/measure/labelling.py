@@ -66,14 +66,15 @@ def _join_across_faces(
     """Join the labels that are neighbours across a periodic face."""
     found = []
     for axis in (axis for axis, wrap in enumerate(wraps) if wrap):
-        lateral = [wrap for other, wrap in enumerate(wraps) if other != axis]
-        found.append(
-            pairs_across(
-                labels.take(-1, axis=axis), labels.take(0, axis=axis), connectivity, lateral
-            )
-        )
+        faces = labels.take(-1, axis=axis), labels.take(0, axis=axis)
+        found.append(pairs_across(*faces, connectivity, _without(axis, wraps)))
     number, merged = merge_labels(sizes, np.concatenate(found))
     return np.concatenate([[0], number]).astype(np.int32)[labels], merged
+
+
+def _without(axis: int, wraps: Sequence[bool]) -> list[bool]:
+    """Return which of the other axes wrap."""
+    return [wrap for other, wrap in enumerate(wraps) if other != axis]
 
 
 def pairs_across(
@@ -114,8 +115,7 @@ def joined_across(runs: Runs, connectivity: int, wraps: Sequence[bool]) -> Runs:
             box = [(0, side) for side in runs.shape]
             box[axis] = (first, first + 1)
             faces.append(runs.labels(tuple(box)).squeeze(axis))
-        lateral = [wrap for other, wrap in enumerate(wraps) if other != axis]
-        found.append(pairs_across(faces[0], faces[1], connectivity, lateral))
+        found.append(pairs_across(faces[0], faces[1], connectivity, _without(axis, wraps)))
     pairs = np.concatenate(found)
     if not len(pairs):
         return runs

@@ -231,6 +231,7 @@ def test_a_gpu_that_is_not_there_is_told(stripes, monkeypatch):
         train.train(GanConfig(**TINY, iterations=1, device="cuda"), stripes)
 
 
+@pytest.mark.whole
 def test_a_gpu_that_runs_out_of_memory_resumes_with_a_smaller_batch(stripes, monkeypatch, tmp_path):
     play = AdversarialPair.train_step
 
@@ -250,10 +251,11 @@ def test_a_gpu_that_runs_out_of_memory_resumes_with_a_smaller_batch(stripes, mon
     assert state["training"]["iterations"] == 5
     said.clear()
     with listen(lambda label, done: said.append(label) if done < 0 else None):
-        train.train(GanConfig(**{**settings, "iterations": 6}), stripes)
+        train.train(GanConfig(**{**settings, "iterations": 2}), stripes)
     assert any("left by another training" in line for line in said)
 
 
+@pytest.mark.whole
 def test_checkpoints_are_written_by_the_clock_and_at_the_end(stripes, monkeypatch, tmp_path):
     """Every call of the clock is half a minute later: a checkpoint every few iterations."""
     now, written = [0.0], []
@@ -274,6 +276,7 @@ def test_checkpoints_are_written_by_the_clock_and_at_the_end(stripes, monkeypatc
     assert written[0] == 1 and written[-1] == 6 and len(written) >= 3
 
 
+@pytest.mark.whole
 def test_a_model_in_half_precision_and_in_parts_is_the_same_model(stripes, tmp_path):
     settings = {**TINY, "iterations": 1, "warmup": 1.0}
     model = tb.method("gan", **settings, storage="float16").fit(stripes)

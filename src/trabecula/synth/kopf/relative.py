@@ -30,7 +30,7 @@ LEAST = 24
 
 _ODDS = 3.0  # of the fractions, the larger over the smaller
 _SCALES = (0.25, 3.0)
-_APART = 0.5  # relative l2 of the covariances along an axis, at one scale and fraction
+_APART = 0.7  # relative l2 of the covariances along an axis, at one scale and fraction
 _INTERFACES = 1.5  # their ratio, either way
 _LENGTHS = 3  # correlation lengths over which covariances are compared
 _REACH = 40  # voxels

@@ -175,11 +175,7 @@ def passes(
     )
     every = (*coarser, *finest)
     if short:
-        # steps in one direction leave more handles, which less interface takes away
-        every = tuple(
-            replace(p, first=2.0, later=0.5, tries=0.5, roughest=rough)
-            for p, rough in zip(every, (*[0.95] * len(coarser), 1.0, 0.97), strict=True)
-        )
+        every = tuple(replace(p, first=2.0, later=0.5, tries=0.5) for p in every)
     if beside:
         return tuple(replace(p, steps=0, beyond=0.0) for p in every)
     return every

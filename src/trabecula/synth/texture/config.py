@@ -44,16 +44,16 @@ class TextureConfig:
     "coarse": on the coarsest level, without these, as recipes and models have it that do not name
     it."""
 
-    scan_phases: str = "told"
-    """What new grey values and colours are painted on. "told": on two phases, or on three where the
-    scan's gradients tell so many, with levels that know thin bodies from thick ones. "two": on two,
-    split by Otsu's threshold, as recipes and models have it that do not name it."""
+    scan_phases: str = "found"
+    """What new grey values and colours are painted on. "found": on two phases, or on three where
+    the scan's gradients tell so many, with levels that know thin bodies from thick ones. "two": on
+    two, split by Otsu's threshold, as recipes and models have it that do not name it."""
 
-    schedule: str = "short"
-    """What new material with the layout "structure" spends. "short": each step on the two-point
-    function goes in one direction, on the torus, and there are fewer sliced rounds, sweeps and
-    tries. "long": in as many directions as there are bands of distances, as recipes and models have
-    it that do not name it."""
+    schedule: str = "long"
+    """What new material with the layout "structure" spends. "long": steps on the two-point function
+    in a direction for every band of distances, as recipes and models have it that do not name it.
+    "short": about a third of the time, with more handles; steps in one direction, on the torus,
+    fewer sliced rounds, sweeps and tries."""
 
     first_rounds: int = 20
     """Rounds of search and vote on the coarsest level, which starts from random patches, 1 .. 100
@@ -241,7 +241,7 @@ _CHOICES: dict[str, tuple[Any, ...]] = {
     "iso_value": ("middle", "fraction"),
     "search": ("coherent", "exact"),
     "layout": ("structure", "coarse"),
-    "scan_phases": ("told", "two"),
+    "scan_phases": ("found", "two"),
     "grading": ("feedback", "shift"),
     "connected": ("auto", "solid", "none"),
     "schedule": ("short", "long"),

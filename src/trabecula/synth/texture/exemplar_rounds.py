@@ -49,7 +49,7 @@ from trabecula.synth.texture.graded import (
     settle_stages,
     shift_stages,
 )
-from trabecula.synth.texture.joined import StrutShape, join_components, join_stages
+from trabecula.synth.texture.joined import StrutField, join_components, join_stages
 from trabecula.synth.texture.local_offset import LocalOffset
 
 _FARTHEST = 45.0 * UNIT  # votes by which a field is shifted at most: one and a half voxels
@@ -153,7 +153,7 @@ class GridStage(RoundStage):
         The volume fraction that is required around every voxel, where the field is shifted to it.
     local : LocalOffset, optional
         The same, where it is fed back to the search.
-    struts : StrutShape, optional
+    struts : StrutField, optional
         The solid becomes one component after every vote.
     last : bool
         Whether no stage follows.
@@ -168,7 +168,7 @@ class GridStage(RoundStage):
     steps: int
     fractions: FractionTarget | None
     local: LocalOffset | None
-    struts: StrutShape | None
+    struts: StrutField | None
     last: bool
 
 
@@ -187,7 +187,7 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         One a level, where `corrections` of the config step towards them.
     fractions : list of (Z, Y, X) float32
         One a level, where the request has a target (`graded`).
-    struts : sequence of StrutShape or None
+    struts : sequence of StrutField or None
         One a level of the exemplar, where the solid is to be one component.
 
     Attributes
@@ -210,7 +210,7 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         distances: bool,
         targets: Sequence[Correlations],
         fractions: list[np.ndarray],
-        struts: Sequence[StrutShape | None] = (),
+        struts: Sequence[StrutField | None] = (),
     ) -> None:
         self.levels, self.regions = levels, regions
         self.request, self.config = request, config

@@ -28,7 +28,7 @@ from trabecula.measure.distance import distance_transform
 from trabecula.synth.shared.content.fields import FULL, UNIT
 from trabecula.synth.shared.content.phase_fractions import brightest_voxels
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.texture.joined import StrutShape, join_components, join_stages
+from trabecula.synth.texture.joined import StrutField, join_components, join_stages
 from trabecula.synth.texture.local_offset import LocalOffset
 
 _WIDTH = 20  # voxels a side of a window in which the fraction is to be that of the target
@@ -63,7 +63,7 @@ def settle_shape(
     votes: np.ndarray,
     region: Region,
     fractions: np.ndarray,
-    struts: StrutShape | None,
+    struts: StrutField | None,
     *,
     unit: float,
 ) -> tuple[np.ndarray, dict[str, Any]]:
@@ -77,7 +77,7 @@ def settle_shape(
         The result.
     fractions : (Z, Y, X) float32
         Of the upper phase, at every voxel.
-    struts : StrutShape or None
+    struts : StrutField or None
         How to join the solid; None where it need not be one component.
     unit : float
         Steps of the field in a voxel.

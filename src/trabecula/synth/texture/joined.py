@@ -39,7 +39,7 @@ _FACES = 6
 
 
 @dataclass(frozen=True)
-class StrutShape:
+class StrutField:
     """The solid of one level, as far as joins need it.
 
     Attributes
@@ -64,7 +64,9 @@ class StrutShape:
         return max(4, round(4.2 * self.radius**3))
 
 
-def struts_of(stack: Stack, *, upper: bool, clip: float, whole: float = WHOLE) -> StrutShape | None:
+def strut_field(
+    stack: Stack, *, upper: bool, clip: float, whole: float = WHOLE
+) -> StrutField | None:
     """Measure the solid of a level; None where less than a share of it is one component.
 
     Parameters
@@ -89,7 +91,7 @@ def struts_of(stack: Stack, *, upper: bool, clip: float, whole: float = WHOLE) -
         return None
     # the area of an isotropic surface is two thirds of its voxels' faces
     radius = max(_LEAST, _ROUND * solid / max(1.0, faces / 1.5))
-    return StrutShape(upper, radius, FULL / clip)
+    return StrutField(upper, radius, FULL / clip)
 
 
 def join_stages(shape: Sequence[int]) -> tuple[Stage, ...]:
@@ -100,7 +102,7 @@ def join_stages(shape: Sequence[int]) -> tuple[Stage, ...]:
     return (Stage("join components", held, 7 * voxels + RUN_BYTES * voxels // _RUN),)
 
 
-def join_components(field: np.ndarray, region: Region, struts: StrutShape) -> int:
+def join_components(field: np.ndarray, region: Region, struts: StrutField) -> int:
     """Join the components of the solid in a field (1, Z, Y, X) int8, in place; return the number of
     joins.
 

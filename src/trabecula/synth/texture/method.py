@@ -81,7 +81,7 @@ from trabecula.synth.texture.grey_levels import (
     learn_levels,
     trial_bytes,
 )
-from trabecula.synth.texture.joined import StrutShape, struts_of
+from trabecula.synth.texture.joined import StrutField, strut_field
 from trabecula.synth.texture.scan_phases import ScanPhases, find_phases
 
 # of the windows that tell dense places from sparse ones: structure lengths, voxels at least, and
@@ -275,7 +275,7 @@ class TextureModel(Model):
             levels = " and ".join(f"{self._level_of(one):g}" for one in scan.thresholds)
             notify(f"the grey values tell {scan.count} phases, split at {levels}")
         structures = [image.values for image in labels]
-        products = way == "told"
+        products = way == "found"
         targets = self._histograms_by_phase(structures, scan.count) if products else ()
 
         def match(votes: np.ndarray, structure: np.ndarray) -> np.ndarray:
@@ -437,14 +437,14 @@ class TextureModel(Model):
         return regions_of(replace(request, mask=None), self.top + 1, bounds, self._quantise)
 
     @cached_property
-    def _struts(self) -> list[StrutShape | None]:
+    def _struts(self) -> list[StrutField | None]:
         """Measure the solid that is to be one component, on every level; empty where none is."""
         if self.config.connected == "none" or not isinstance(self.content, Labels):
             return []
         upper, clip = self.content.present[0] == self.content.empty, self.config.clip
-        found = [struts_of(stack, upper=upper, clip=clip) for stack in self.stacks]
+        found = [strut_field(stack, upper=upper, clip=clip) for stack in self.stacks]
         if found[0] is None and self.config.connected == "solid":
-            found[0] = struts_of(self.stacks[0], upper=upper, clip=clip, whole=0.0)
+            found[0] = strut_field(self.stacks[0], upper=upper, clip=clip, whole=0.0)
         return found if found[0] is not None else []
 
     def _settle_shape(

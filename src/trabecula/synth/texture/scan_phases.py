@@ -89,7 +89,7 @@ class ScanPhases:
 
 
 def find_phases(
-    fields: Sequence[np.ndarray], edges: Sequence[float], *, way: str = "told"
+    fields: Sequence[np.ndarray], edges: Sequence[float], *, way: str = "found"
 ) -> ScanPhases | None:
     """Find the phases of fields; None where these tell none.
 
@@ -99,8 +99,8 @@ def find_phases(
         Grey values, or colours, of which the luminance counts.
     edges : three floats
         Sides of a voxel over their geometric mean.
-    way : {"told", "two"}
-        "told": as many as the gradients tell, at most three. "two": two of the smoothed scan, or
+    way : {"found", "two"}
+        "found": as many as the gradients tell, at most three. "two": two of the smoothed scan, or
         none where Otsu's criterion does not tell them.
     """
     plain = np.concatenate([luminance(field).ravel() for field in fields])
@@ -109,7 +109,7 @@ def find_phases(
     if not values.var(dtype=np.float64):
         return None
     squares = np.concatenate([_squared_gradient(part, edges).ravel() for part in smooth])
-    steepest = _steepest_levels(values, squares, otsu(plain)[0]) if way == "told" else ()
+    steepest = _steepest_levels(values, squares, otsu(plain)[0]) if way == "found" else ()
     if len(steepest) > 1 and _are_common(values, steepest):
         grainy = way == "two" or _is_grainy(plain, values, squares, steepest)
         return ScanPhases(steepest, _SMOOTH if grainy else 0.0)
