@@ -13,6 +13,7 @@ import pytest
 
 from trabecula.cli.terminal import show_certificate
 from trabecula.engine import lock, memmap, parallel
+from trabecula.exemplar import fetch
 from trabecula.view.page import server
 
 PACKAGE = Path(memmap.__file__).resolve().parents[1]
@@ -42,8 +43,25 @@ def test_every_branch_is_named_here():
         "engine/lock.py",
         "engine/memmap.py",
         "engine/parallel.py",
+        "exemplar/fetch.py",
         "view/page/server.py",
     }
+
+
+@pytest.mark.parametrize(
+    ("system", "variable", "folder"),
+    [
+        ("win32", "LOCALAPPDATA", "trabecula"),
+        ("darwin", "HOME", "Library/Caches/trabecula"),
+        ("linux", "XDG_CACHE_HOME", "trabecula"),
+        ("linux", "HOME", ".cache/trabecula"),
+    ],
+)
+def test_the_cache_is_where_a_system_has_it(tmp_path, monkeypatch, system, variable, folder):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(fetch.sys, "platform", system)
+    monkeypatch.setenv(variable, str(tmp_path))
+    assert fetch.cache_folder() == tmp_path / folder
 
 
 @pytest.mark.parametrize("system", ["posix", "nt"])

@@ -339,7 +339,11 @@ def test_methods_and_samples_are_listed():
         and methods["texture"]["paper"] in trabecula("methods").out
     )
     listed = json.loads(trabecula("samples", "--json").out)
-    assert listed == {"samples": tb.samples(), "real_scans": dict(samples.REAL_SCANS)}
+    assert listed == {
+        "samples": tb.samples(),
+        "data": tb.datasets(),
+        "real_scans": dict(samples.REAL_SCANS),
+    }
     text = trabecula("samples").out
     assert "sample:bone" in text and "stand-in" in text and "digitalporousmedia.org" in text
 

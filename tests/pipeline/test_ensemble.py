@@ -54,10 +54,10 @@ def test_a_form_scatters_as_a_box_of_its_volume(model):
     assert whole < part < 2 * whole
 
 
-def test_a_method_without_target_makes_members_as_it_does(rock):
+def test_windows_of_unlimited_material_scatter_by_themselves(rock):
     noise = tb.method("noise").fit(rock)
     members = draw_members(noise, tb.Request(SIDE), count=3)
-    assert members.spread is None and "takes no target porosity" in members.note
+    assert members.spread is None and "scatter by themselves" in members.note
     assert all(not request.target for request in members.requests)
 
 

@@ -173,7 +173,9 @@ class Request:
         made = {name: recipe.to_json() for name, recipe in self.origins.items()}
         if self.target:
             plain["target"] = {
-                name: made.pop(f"target.{name}", _plain(value))
+                name: made.pop(f"target.{name}")
+                if f"target.{name}" in made
+                else _plain(value)  # not of a field: a list of its values takes much memory
                 for name, value in self.target.items()
             }
         return {**plain, **made}

@@ -65,7 +65,8 @@ def ensemble(
     spread : float
         Scatter of the fractions from member to member, 0 .. 4: 1 as of real samples of this shape,
         learned from the exemplar (`fraction_spread`), 0 none: each has the exemplar's. A method
-        that takes no target porosity makes members as it does.
+        that takes no target porosity, or makes windows of unlimited material, makes members as it
+        does.
     memory : int, optional
         Budget in bytes of one member. Default: the memory that is available.
     **parts
@@ -132,6 +133,8 @@ def _why_not_drawn(model: Model, ndim: int) -> str:
     own = f"members differ as {known.name} makes them"
     if "target" not in known.honours or "porosity" not in known.targets:
         return f"method {known.name!r} takes no target porosity: {own}"
+    if known.large == "box":
+        return f"windows of unlimited material scatter by themselves: {own}"
     if not model.exemplars:
         return f"the model has no exemplar that says how samples scatter: {own}"
     if model.facts[0].kind == "labels" and model.facts[0].ndim != ndim:
