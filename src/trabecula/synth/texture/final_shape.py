@@ -47,6 +47,7 @@ def shape_stages(shape: Sequence[int], *, known: bool, masked: bool) -> tuple[St
         "final high": Array(volume, np.int8) if known else None,
         "final fractions": Array(shape, np.float32),
         "votes": Array(volume, np.int16),
+        "last votes": Array(volume, np.int16),  # of the rounds: the caller has them
     }
     distance = {
         "final field": Array(volume, np.int8),
@@ -132,7 +133,7 @@ def _distances(field: np.ndarray, region: Region, unit: float) -> np.ndarray:
             np.copyto(votes[0, start:stop], sign * far, where=part > 0)
 
         for_slabs(write, len(side))
-        del distance, side
+        del distance, side, mark, write  # whose defaults hold the arrays
     soften(votes[0], region.wraps)
     return votes
 
