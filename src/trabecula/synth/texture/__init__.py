@@ -17,5 +17,6 @@ CAPABILITIES = Capabilities(
     presets=("fast", "best", "paper"),
     large="memmap",
     trial={"first_rounds": 4, "rounds": (2, 2, 3)},
+    targets=("porosity", "volume_fraction", "orientation", "size"),
     method="trabecula.synth.texture.method:Texture",
 )

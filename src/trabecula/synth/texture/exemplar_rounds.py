@@ -37,6 +37,7 @@ from trabecula.synth.shared.statistics.two_point_steps import (
     step_stages,
     two_point_step,
 )
+from trabecula.synth.shared.turned_exemplars import TurnedExemplars
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.energy_rounds import Balance, energy_stages, energy_vote
 from trabecula.synth.texture.graded import (
@@ -51,6 +52,7 @@ from trabecula.synth.texture.graded import (
 )
 from trabecula.synth.texture.joined import StrutField, join_components, join_stages
 from trabecula.synth.texture.local_offset import LocalOffset
+from trabecula.synth.texture.turned_guide import guide_count, guide_turned
 
 _FARTHEST = 45.0 * UNIT  # votes by which a field is shifted at most: one and a half voxels
 
@@ -115,7 +117,8 @@ def grid_stages(
     )
     shape, (sites,) = level.covered.shape, level.grids
     if request.target:
-        level = replace(level, guides=1, held=fraction_arrays(shape, sites, config.grading))
+        held = fraction_arrays(shape, sites, config.grading, guide_count(request.target))
+        level = replace(level, guides=1 + guide_count(request.target), held=held)
     if target is not None:
         level = replace(level, correction=step_stages(shape, target, region.wraps))
     rest, base = level.rest, {**level.base, **level.votes}
@@ -189,6 +192,8 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         One a level, where the request has a target (`graded`).
     struts : sequence of StrutField or None
         One a level of the exemplar, where the solid is to be one component.
+    copies : TurnedExemplars, optional
+        What the levels are of, where the request has an orientation or a size.
 
     Attributes
     ----------
@@ -211,7 +216,9 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         targets: Sequence[Correlations],
         fractions: list[np.ndarray],
         struts: Sequence[StrutField | None] = (),
+        copies: TurnedExemplars | None = None,
     ) -> None:
+        self.copies = copies
         self.levels, self.regions = levels, regions
         self.request, self.config = request, config
         self.distances = distances
@@ -259,6 +266,8 @@ class ExemplarRounds(CoarseToFine[GridStage]):
             grid, local = lead_grid(grid, self.fractions[index], index)
         elif self.graded:
             grid, fractions = guide_grid(grid, self.fractions[index], index)
+        if self.copies is not None:
+            grid = guide_turned(grid, self.copies, self.request.target, index)
         needed = index + (number < len(self.levels[index]) - 1)
         del self.regions[needed:], self.fractions[needed:]
         rounds = self._rounds(index)

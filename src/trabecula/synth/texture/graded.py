@@ -251,10 +251,12 @@ class FractionTarget:
 
 
 def fraction_arrays(
-    shape: tuple[int, ...], sites: tuple[int, ...], grading: str
+    shape: tuple[int, ...], sites: tuple[int, ...], grading: str, more: int = 0
 ) -> dict[str, Array]:
-    """Declare the guide of a search, and the arrays of a `FractionTarget` of so many voxels."""
-    guide = {"guide": Array((*sites, 1), np.int16, axis=-4)}
+    """Declare the guide of a search, with so many `more` features than the fraction, and the arrays
+    of a `FractionTarget` of so many voxels.
+    """
+    guide = {"guide": Array((*sites, 1 + more), np.int16, axis=-4)}
     if grading == "feedback":
         return guide
     sums = Array(shape, np.int32)

@@ -22,6 +22,7 @@ from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image, with_values
 from trabecula.core.progress import notify, track
 from trabecula.core.request import Request
+from trabecula.core.target import FRAME, frame_of, porosity_of
 from trabecula.engine.memory import Array, Stage, forecast, resident, within
 from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.method import Method, Model
@@ -45,6 +46,7 @@ from trabecula.synth.shared.content.kinds import (
 from trabecula.synth.shared.matching.principal_components import basis_bytes
 from trabecula.synth.shared.matching.region import Region, has_cube, regions_of
 from trabecula.synth.shared.matching.sources import Stack
+from trabecula.synth.shared.frames import frames_of
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve
@@ -58,6 +60,11 @@ from trabecula.synth.shared.statistics.density_slopes import (
 )
 from trabecula.synth.shared.statistics.slices import SliceTarget
 from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
+from trabecula.synth.shared.turned_exemplars import (
+    DIRECTIONS,
+    TurnedExemplars,
+    turn_exemplars,
+)
 from trabecula.synth.texture import CAPABILITIES
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.exemplar_rounds import (
@@ -183,6 +190,9 @@ class TextureModel(Model):
 
     capabilities = CAPABILITIES
     config: TextureConfig
+
+    copies: TurnedExemplars | None = None
+    """What the exemplars are, where they were turned and scaled for a request."""
 
     def __init__(self, config: TextureConfig, exemplars: Sequence[Image]) -> None:
         super().__init__(config, exemplars)
@@ -331,6 +341,8 @@ class TextureModel(Model):
 
     def make(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
         report: dict[str, Any] = {}
+        if frame_of(request.target) and self.copies is None:
+            return self._make_turned(request)
         new = self._makes_new(request)
         if new and self.painted is not None:
             structure, made = self.painted.structure.make(replace(request, mask=None))
@@ -355,6 +367,7 @@ class TextureModel(Model):
                     targets=self.targets,
                     fractions=self._fractions(request, used),
                     struts=self._struts if request.target else (),
+                    copies=self.copies,
                 )
             )
             if energies:
@@ -373,6 +386,21 @@ class TextureModel(Model):
         if self.novelty and not new:
             report["way"] = _PATCHES
         return self.content.to_values(votes, request), report
+
+    def _make_turned(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
+        """Make material that follows an orientation or a size, from turned and scaled copies."""
+        assert isinstance(self.content, Labels)
+        frames = frames_of(request.target, DIRECTIONS)
+        least = max(self.config.neighbourhood) + ROOM
+        copies = turn_exemplars(self.exemplars, frames, least=least)
+        model = TextureModel(replace(self.config, novelty=0.0, orientations="none"), copies.images)
+        model.copies, model._struts = copies, self._struts
+        target = dict(request.target)
+        if porosity_of(target) is None:
+            own = self.content.fractions[self.content.present.index(self.content.empty)]
+            target["porosity"] = float(own)
+        values, report = model.make(replace(request, target=target))
+        return values, {**report, "copies": len(copies.images)}
 
     def _novel_rounds(
         self, request: Request, around: Sequence[Region] = ()
@@ -475,6 +503,8 @@ class TextureModel(Model):
         """Return whether there is room to lay out something new, beside known voxels as well, and
         no target that holds around every place, or beside known voxels.
         """
+        if frame_of(request.target):
+            return False
         whole = self.config.layout == "structure" and not any(map(np.ndim, request.target.values()))
         top = self.top if self.painted is None else self.painted.structure.top
         if not top or not novel_layout.has_room(request.shape, top):
@@ -498,6 +528,21 @@ class TextureModel(Model):
         check_target_porosity(request.target, self.exemplars, mask=request.mask, beyond=BEYOND)
         if request.target and isinstance(self.content, Labels):
             check_phases(self.content.present, self.content.empty)
+        if frame_of(request.target):
+            self._check_frame(request)
+
+    def _check_frame(self, request: Request) -> None:
+        """Raise where material cannot follow a direction or a size."""
+        named = " and ".join(name for name in FRAME if name in request.target)
+        if not isinstance(self.content, Labels):
+            raise RequestError(
+                f"the target {named} is honoured for labels, the exemplar is of grey values or "
+                "colours: segment it (tb.segment)"
+            )
+        if self.config.grading != "feedback":
+            raise RequestError(
+                f"the target {named} needs grading=feedback, it is {self.config.grading}"
+            )
 
     def memory(self, request: Request) -> Mapping[str, int]:
         return forecast(self._stages(request), self._fixed()).memory
