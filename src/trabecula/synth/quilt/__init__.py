@@ -24,5 +24,7 @@ CAPABILITIES = Capabilities(
         "mean_curvature",
         "perimeter",
         "euler",
+        "orientation",
+        "size",
     ),
 )

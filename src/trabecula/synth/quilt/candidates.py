@@ -53,7 +53,10 @@ class CandidateDescriptors:
         low, high = np.zeros(len(order)), np.ones(len(order))
         for row, name in enumerate(order):
             found = np.concatenate(
-                [library.describe_patches(image, name).ravel() for image in library.images]
+                [
+                    library.describe_patches(number, name).ravel()
+                    for number in range(len(library.images))
+                ]
             )
             low[row], high[row] = float(found.min()), float(found.max())
             values[row] = np.rint((found - low[row]) * (SCALE / max(high[row] - low[row], 1e-12)))

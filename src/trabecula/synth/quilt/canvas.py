@@ -321,7 +321,7 @@ class ExemplarShares:
         image = library.images[0]
         void = void_label(image.phases)
         names = [OF_A_PHASE + phase for label, phase in enumerate(image.phases) if label != void]
-        found = {name: library.describe_patches(image, name) for name in names}
+        found = {name: library.describe_patches(0, name) for name in names}
         deep = {
             name: field.reshape((1,) * (3 - field.ndim) + field.shape)
             for name, field in found.items()

@@ -17,7 +17,7 @@ import numpy as np
 
 from trabecula.core.errors import RequestError
 from trabecula.core.request import Request
-from trabecula.core.target import OF_A_PHASE
+from trabecula.core.target import OF_A_PHASE, densities_of
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.synth.quilt.candidates import (
@@ -80,7 +80,7 @@ class CompatibilityForecast:
 
 def descriptor_range(library: PatchLibrary, name: str) -> tuple[float, float]:
     """Return the least and greatest value of a descriptor over all patches."""
-    fields = [library.describe_patches(image, name) for image in library.images]
+    fields = [library.describe_patches(number, name) for number in range(len(library.images))]
     return min(float(field.min()) for field in fields), max(float(field.max()) for field in fields)
 
 
@@ -111,7 +111,7 @@ def check_targets(
         A target beyond all patches; a phase that the exemplars lack; a functional of the other
         dimension.
     """
-    for name in request.target:
+    for name in densities_of(request.target):
         check_descriptor(library, name)
         if name not in held:
             held[name] = descriptor_range(library, name)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import notify
 from trabecula.core.request import Request
+from trabecula.core.target import FRAME, densities_of, frame_of
 from trabecula.engine.memory import forecast
 from trabecula.measure.runs import INSIDE
 from trabecula.synth.api.method import Method, Model
@@ -27,10 +29,13 @@ from trabecula.synth.quilt.compatibility import (
 )
 from trabecula.synth.quilt.config import QuiltConfig
 from trabecula.synth.quilt.connectivity import label_slabwise
-from trabecula.synth.quilt.patch_library import PatchLibrary, label_bits
+from trabecula.synth.quilt.patch_library import PatchLibrary, label_bits, void_label
 from trabecula.synth.quilt.period import phase_key, positions_in_phase
 from trabecula.synth.quilt.run import QuiltRun, run_stages
+from trabecula.synth.quilt.turned import frame_targets, frame_weights, turned_library
+from trabecula.synth.shared.frames import frames_of
 from trabecula.synth.shared.orient import symmetries
+from trabecula.synth.shared.turned_exemplars import DIRECTIONS
 
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 
@@ -93,6 +98,7 @@ class QuiltModel(Model):
         3.4).
         """
         self._check_request(request)
+        request = replace(request, target=densities_of(request.target))
         return forecast_compatibility(
             self.library, self.config, patch_grid(self.library, request), request
         )
@@ -102,7 +108,14 @@ class QuiltModel(Model):
         the recipe of `generate`).
         """
         self._check_request(request)
-        run = QuiltRun(self.library, self.config, request)
+        library, config, target = self.library, self.config, dict(request.target)
+        if frame_of(target):
+            frames = frames_of(target, DIRECTIONS)
+            library = turned_library(self.exemplars, library, config, frames)
+            void = [np.mean(one.values == void_label(one.phases)) for one in self.exemplars]
+            target = frame_targets(target, float(np.mean(void)))
+            config = replace(config, weights=frame_weights(config.weights))
+        run = QuiltRun(library, config, request, target)
         values = run.lay_all()
         return values.reshape(request.shape), run.trace
 
@@ -115,6 +128,9 @@ class QuiltModel(Model):
                 f"{self.patch}, the request is {request.shape}: ask for more, or for a smaller "
                 "patch"
             )
+        if frame_of(request.target) and self.library.flat:
+            named = " and ".join(name for name in FRAME if name in request.target)
+            raise RequestError(f"the target {named} is honoured for volumes, the exemplar is 2-D")
         if request.mask is not None and self.config.connected in ("solid", "both"):
             _check_one_form(request.mask, request.periodic)
 

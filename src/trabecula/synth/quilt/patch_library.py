@@ -8,8 +8,8 @@ of more than one bit have a word per bit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -48,6 +48,8 @@ class PatchLibrary:
     shifts : (S, 3) int64
         Voxels by which an exemplar's cells are shifted from the first one's.
     words : PackedLabels
+    measured : mapping of str to tuple of float32 arrays
+        Descriptors of every patch of every exemplar that do not follow from its labels alone.
     """
 
     images: tuple[Image, ...]
@@ -57,6 +59,7 @@ class PatchLibrary:
     periods: tuple[float | None, ...]
     shifts: np.ndarray
     words: PackedLabels
+    measured: Mapping[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
 
     @classmethod
     def build(cls, exemplars: Sequence[Image], config: QuiltConfig) -> PatchLibrary:
@@ -105,11 +108,13 @@ class PatchLibrary:
         """
         return (self.patch - self.descriptor_size) // 2 + (self.descriptor_size - 1) // 2
 
-    def describe_patches(self, image: Image, name: str) -> np.ndarray:
-        """Measure a descriptor of every patch of an image, float32, one value a position."""
-        off = (self.patch - self.descriptor_size) // 2
-        field = windowed(image, size=self.descriptor_size, names=[name])[name]
-        return field[tuple(slice(off, off + side - self.patch + 1) for side in image.shape)]
+    def describe_patches(self, number: int, name: str) -> np.ndarray:
+        """Measure a descriptor of every patch of image `number`, float32, one value a position."""
+        if name in self.measured:
+            return self.measured[name][number]
+        image, off = self.images[number], (self.patch - self.descriptor_size) // 2
+        found = windowed(image, size=self.descriptor_size, names=[name])[name]
+        return found[tuple(slice(off, off + side - self.patch + 1) for side in image.shape)]
 
     @property
     def box(self) -> tuple[int, int, int]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -20,6 +20,7 @@ import numpy as np
 from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
+from trabecula.core.target import Target
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.synth.quilt.candidates import (
@@ -129,12 +130,20 @@ class QuiltRun:
     ----------
     canvas : (Z, Y, X) uint8
         Labels; EMPTY, OUT and FIXED + label as in `canvas`.
+    target : mapping
+        Of the request, by the names of the library's descriptors.
     placed : int32, one entry a place
         1 + where the patch begins in the stack; 0 without one.
     trace : PlacementTrace
     """
 
-    def __init__(self, library: PatchLibrary, config: QuiltConfig, request: Request) -> None:
+    def __init__(
+        self,
+        library: PatchLibrary,
+        config: QuiltConfig,
+        request: Request,
+        target: Mapping[str, Target],
+    ) -> None:
         self.library, self.config, self.request = library, config, request
         self.grid = patch_grid(library, request)
         self.work = Workspace(run_stages(self.grid, config, request))
@@ -150,11 +159,11 @@ class QuiltRun:
             self.components = ComponentTracker(self.canvas, numbers, self.grid.wraps, followed)
         self.target = {
             name: np.reshape(t, self.grid.shape) if np.ndim(t) else t
-            for name, t in request.target.items()
+            for name, t in target.items()
         }
         self.mask = None if request.mask is None else request.mask.reshape(self.grid.shape)
         self.own = None if self.target else ExemplarShares.build(library, request.seed)
-        names = list(request.target) if self.own is None else list(self.own.fields)
+        names = list(target) if self.own is None else list(self.own.fields)
         self.descriptors = CandidateDescriptors.measure(library, names, config.weights)
         self.pools = CandidatePools(library, self.descriptors, request.seed)
         stage = key(request.seed, "quilt/choice")

@@ -19,7 +19,7 @@ from trabecula.synth.shared.matching.grid import Grid, append_guide
 from trabecula.synth.shared.matching.sources import Candidates
 from trabecula.synth.shared.turned_exemplars import PAIRS, TurnedExemplars, wanted_fabric
 
-_TURN = 8000  # features in a fabric of 1
+_TURN = 12000  # features in a fabric of 1
 _SIZE = 4000  # features between a size and twice it
 
 
