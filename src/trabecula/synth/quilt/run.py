@@ -126,12 +126,16 @@ def run_stages(
 class QuiltRun:
     """The state of one run.
 
+    Parameters
+    ----------
+    library, config, request
+    target : mapping, optional
+        Targets by the names of the library's descriptors. Default: the request's.
+
     Attributes
     ----------
     canvas : (Z, Y, X) uint8
         Labels; EMPTY, OUT and FIXED + label as in `canvas`.
-    target : mapping
-        Of the request, by the names of the library's descriptors.
     placed : int32, one entry a place
         1 + where the patch begins in the stack; 0 without one.
     trace : PlacementTrace
@@ -142,9 +146,10 @@ class QuiltRun:
         library: PatchLibrary,
         config: QuiltConfig,
         request: Request,
-        target: Mapping[str, Target],
+        target: Mapping[str, Target] | None = None,
     ) -> None:
         self.library, self.config, self.request = library, config, request
+        target = request.target if target is None else target
         self.grid = patch_grid(library, request)
         self.work = Workspace(run_stages(self.grid, config, request))
         self.work.enter("enter given voxels")

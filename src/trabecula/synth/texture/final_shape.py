@@ -8,8 +8,10 @@ So the interface that was voted for is kept, and moved along its own distance:
    voxels have steps.
 3. Shift it smoothly until the fraction around every voxel is that of the target (`local_offset`),
    by three voxels at most: where struts get thinner some break.
-4. The same again, of what came out; then split at the target's mean fraction, to the voxel, and
-   join what the last shift has broken.
+4. Split at the target's mean fraction, to the voxel, and join what the shift has broken.
+
+A second pass of steps 1 to 3 brings the fraction nearer by a quarter, and rounds thin struts away:
+of a bone of 13 % thickness grew from 1.11 to 1.19 of the scan's, anisotropy fell from .98 to .89.
 """
 
 from __future__ import annotations
@@ -32,9 +34,9 @@ from trabecula.synth.texture.joined import StrutField, join_components, join_sta
 from trabecula.synth.texture.local_offset import LocalOffset
 
 _WIDTH = 20  # voxels a side of a window in which the fraction is to be that of the target
-_STEPS = (60, 60)  # of the shift in every pass
+_STEPS = 120  # of the shift
 _FULL = 15  # the last steps, which count every voxel
-_MOST = 3.0  # voxels by which an interface moves in one pass
+_MOST = 3.0  # voxels by which an interface moves
 _THIN = 0.9  # voxels, radius of the last joins
 
 
@@ -83,18 +85,15 @@ def settle_shape(
     unit : float
         Steps of the field in a voxel.
     """
-    most, joins = _MOST * unit * UNIT, 0
-    for steps in _STEPS:
-        field = _rounded(votes)
-        if struts is not None:
-            joins += join_components(field, region, struts)
-        votes = _distances(field, region, unit)
-        del field
-        local = LocalOffset.of(region, fractions, _WIDTH)
-        for number in range(steps):
-            every = 2 if number < steps - _FULL else 1
-            local.step(votes[0], low=-most, high=most, every=every)
-        local.add_to(votes[0])
+    most = _MOST * unit * UNIT
+    field = _rounded(votes)
+    joins = 0 if struts is None else join_components(field, region, struts)
+    votes = _distances(field, region, unit)
+    del field
+    local = LocalOffset.of(region, fractions, _WIDTH)
+    for number in range(_STEPS):
+        local.step(votes[0], low=-most, high=most, every=2 if number < _STEPS - _FULL else 1)
+    local.add_to(votes[0])
     upper = brightest_voxels(votes[0], _count_of(fractions, region), region.free)
     if struts is not None:
         field = _signed(upper, votes)
