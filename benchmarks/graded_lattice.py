@@ -39,3 +39,17 @@ def reference(
     wave = np.clip(1.5 * wave, -1, 1)
     wave = (wave - wave.min()) / (wave.max() - wave.min())
     return lattice(low + (high - low) * wave, frames=frames)
+
+
+def gentle(side: int = 80, *, frames: bool = False) -> tb.Image:
+    """The sample without turned copies: dense and open parts that are even in themselves, with
+    gradients so slow that neighbouring windows of equal density fit.
+
+    In step with a place there are 343 windows alone, so that density and gradient of each matter;
+    these waves were chosen among fourteen by the cantilever.
+    """
+    z, y, x = np.indices((side,) * 3, np.float32) / (side - 1)
+    wave = np.cos(1.6 * np.pi * (z + 0.2 * y)) * np.cos(1.2 * np.pi * (x - 0.1 * y))
+    wave = np.clip(1.5 * wave * np.cos(0.8 * np.pi * (y - 0.2 * x - 0.35)), -1, 1)
+    wave = (wave - wave.min()) / (wave.max() - wave.min())
+    return lattice(0.297 + (0.853 - 0.297) * wave, frames=frames)

@@ -188,15 +188,15 @@ def _designed(
     wanted = fields.resample(density, form.shape).values
     # Outside of the form the density is 0, which linear interpolation would carry inside.
     wanted = np.where(form, np.clip(wanted, low, 1), low)
-    scale = voxels // 2
+    scale = voxels / 2
     for pad in part.pads:
         wanted[tuple(_scaled(one, scale) for one in pad)] = 1
     return wanted, ways, form, case
 
 
-def _scaled(part: slice, by: int) -> slice:
+def _scaled(part: slice, by: float) -> slice:
     """Return a slice of an axis with so many times as many voxels."""
-    return slice(*(None if at is None else at * by for at in (part.start, part.stop)))
+    return slice(*(None if at is None else round(at * by) for at in (part.start, part.stop)))
 
 
 def _stiffness_row(

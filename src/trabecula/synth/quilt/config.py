@@ -119,7 +119,6 @@ _PRESETS: dict[str, dict[str, Any]] = {
         "candidates": 1 << 31,
         "sieve": 1,
         "seams": 1,
-        "period": "none",
     },
 }
 
