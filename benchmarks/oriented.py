@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 import trabecula as tb
 from common import SCANS, asked, busy, pictures, table
-from descriptors import scans
 from trabecula import fields
 
 SHAPE = (96, 64, 64)
@@ -131,7 +130,20 @@ def design() -> None:
     """
     row = table("part", "material", "compliance", "solid", "loose", "per mass", "ratio", "seconds")
     for name in asked("ONLY") or PARTS:
-        density, ways, form, case = _designed(PARTS[name], voxels=2, low=0.25, high=0.65, volume=0.4)
+        part = PARTS[name]
+        mask = part.mask()
+        case = fields.case(part.case)
+        limits = {"low": 0.25, "high": 0.65, "volume": 0.4, "penalty": 1.0}
+        density = fields.simp(case, shape=mask.shape, mask=mask, **limits)
+        stress = fields.principal_stress(density, case, mask=mask)
+        ways = fields.smooth_directions(stress.direction, sigma=1.0, weights=np.abs(stress.stress))
+        form = mask.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+        ways = fields.resample_directions(fields.continue_directions(ways), form.shape)
+        wanted = fields.resample(density, form.shape).values
+        # Outside of the form the density is 0, which linear interpolation would carry inside.
+        wanted = np.where(form, np.clip(wanted, limits["low"], 1), limits["low"])
+        for pad in part.pads:
+            wanted[pad] = 1
         axis = np.eye(3)[int(np.argmax(form.shape))]
         whole = 0.0
         for material, length, direction in (
@@ -139,90 +151,31 @@ def design() -> None:
             ("one direction", LONG, axis),
             ("follows the stress", LONG, ways),
         ):
-            target: dict[str, Any] = {"volume_fraction": density}
+            target: dict[str, Any] = {"volume_fraction": wanted}
             target |= {} if direction is None else {"orientation": direction}
             model = tb.method("noise", length=length, exact=True).fit(spacing=1.0)
             made = model.generate(form.shape, seed=1, target=target, mask=form)
-            whole = _stiffness_row(row, (name, material), made, case, form, whole)
-
-
-def design_bone() -> None:
-    """The same of scanned bone by `texture`, four voxels an element, solid .10 to .28 by the design
-    and .16 in the mean: it follows the stress, beside the same bone along each axis alone.
-
-    `ratio` is over the first row, the bone along the part's shortest side... see the rows.
-    """
-    row = table("part", "material", "compliance", "solid", "loose", "per mass", "ratio", "seconds")
-    bone = tb.crop(scans()["bone b"], 96)
-    for name in asked("ONLY") or ["cantilever"]:
-        density, ways, form, case = _designed(PARTS[name], voxels=4, low=0.1, high=0.28, volume=0.16)
-        model, whole = tb.method("texture").fit(bone), 0.0
-        for material, direction in (
-            ("along z", (1, 0, 0)),
-            ("along y", (0, 1, 0)),
-            ("along x", (0, 0, 1)),
-            ("follows the stress", ways),
-        ):
-            target = {"volume_fraction": np.minimum(density, 0.28), "orientation": direction}
-            made = model.generate(form.shape, seed=1, target=target, mask=form)
-            pads = (density == 1) & form
-            made = replace(made, values=np.where(pads, np.uint8(1), made.values))
-            whole = _stiffness_row(row, (name, material), made, case, form, whole)
-
-
-def _designed(
-    part: Part, *, voxels: int, low: float, high: float, volume: float
-) -> tuple[np.ndarray, Any, np.ndarray, Any]:
-    """Return the density that is designed for a part and the directions of its stress, so many
-    `voxels` along an element; the form, and the case.
-    """
-    mask = part.mask()
-    case = fields.case(part.case)
-    density = fields.simp(
-        case, shape=mask.shape, mask=mask, low=low, high=high, volume=volume, penalty=1.0
-    )
-    stress = fields.principal_stress(density, case, mask=mask)
-    ways = fields.smooth_directions(stress.direction, sigma=1.0, weights=np.abs(stress.stress))
-    form = mask.repeat(voxels, 0).repeat(voxels, 1).repeat(voxels, 2)
-    ways = fields.resample_directions(fields.continue_directions(ways), form.shape)
-    wanted = fields.resample(density, form.shape).values
-    # Outside of the form the density is 0, which linear interpolation would carry inside.
-    wanted = np.where(form, np.clip(wanted, low, 1), low)
-    scale = voxels / 2
-    for pad in part.pads:
-        wanted[tuple(_scaled(one, scale) for one in pad)] = 1
-    return wanted, ways, form, case
-
-
-def _scaled(part: slice, by: float) -> slice:
-    """Return a slice of an axis with so many times as many voxels."""
-    return slice(*(None if at is None else round(at * by) for at in (part.start, part.stop)))
-
-
-def _stiffness_row(
-    row: Callable[..., None],
-    names: tuple[str, str],
-    made: tb.Image,
-    case: Any,
-    form: np.ndarray,
-    whole: float,
-) -> float:
-    """Print a part's compliance and stiffness per mass, and its ratio to `whole`; return that, or
-    where it is 0 this part's own.
-    """
-    try:
-        seconds, found = busy(lambda: fields.part_stress(made, case, mask=form))
-    except tb.errors.InputError as error:
-        row(*names, str(error)[:40], *"----", "-")
-        return whole
-    told = found.recipe.steps[-1]["report"]
-    compliance = told["compliance"][0] / told["solid_compliance"][0]
-    stiffness = 1 / (compliance * told["fraction"])
-    whole = whole or stiffness
-    cells = (f"{compliance:.2f}", f"{told['fraction']:.3f}", f"{told['loose']:.4f}")
-    row(*names, *cells, f"{stiffness:.4f}", f"{stiffness / whole:.2f}", f"{seconds:.0f}")
-    show(made, f"design-{names[0]}-{names[1].replace(' ', '-')}", field=found)
-    return whole
+            try:
+                seconds, found = busy(
+                    lambda m=made, c=case, f=form: fields.part_stress(m, c, mask=f)
+                )
+            except tb.errors.InputError as error:
+                row(name, material, str(error)[:40], *"----", "-")
+                continue
+            told = found.recipe.steps[-1]["report"]
+            compliance = told["compliance"][0] / told["solid_compliance"][0]
+            stiffness = 1 / (compliance * told["fraction"])
+            whole = whole or stiffness
+            cells = (f"{compliance:.2f}", f"{told['fraction']:.3f}", f"{told['loose']:.4f}")
+            row(
+                name,
+                material,
+                *cells,
+                f"{stiffness:.4f}",
+                f"{stiffness / whole:.2f}",
+                f"{seconds:.0f}",
+            )
+            show(made, f"design-{name}-{material.split()[0]}", field=found)
 
 
 def show(made: tb.Image, name: str, **options: Any) -> None:

@@ -109,3 +109,28 @@ def test_tiles_change_no_bit(monkeypatch):
     monkeypatch.setattr(parallel, "_run", scatter)
     for name, field in windowed(values, size=5, names=NAMES[3]).items():
         assert np.array_equal(field, whole[name]), name
+
+
+@pytest.mark.parametrize("shape", [(7, 8, 9), (9, 11)])
+def test_two_point_functions_of_windows_are_those_of_their_pairs(shape):
+    inside = np.random.default_rng(3).random(shape) < 0.4
+    size, lag = 5, 2
+    name = f"two_point:{lag}"
+    field = windowed(inside.astype(np.uint8), size=size, names=[name])[name]
+    assert field.shape == tuple(side - size + 1 for side in shape)
+    for at in np.ndindex(*field.shape):
+        window = inside[tuple(slice(k, k + size) for k in at)]
+        pairs = [
+            (window.take(range(lag, size), axis) & window.take(range(size - lag), axis)).mean()
+            for axis in range(window.ndim)
+        ]
+        assert np.isclose(field[at], np.mean(pairs), atol=1e-6)
+
+
+def test_two_point_functions_of_a_checkerboard():
+    board = (np.indices((8, 8, 8)).sum(axis=0) % 2).astype(np.uint8)
+    found = windowed(board, size=6, names=["two_point:1", "two_point:2"])
+    assert (found["two_point:1"] == 0).all() and np.allclose(found["two_point:2"], 0.5)
+    for lag in ("0", "6", "x", "-1"):
+        with pytest.raises(tb.errors.InputError, match="two_point:R with R from 1 to 5"):
+            windowed(board, size=6, names=[f"two_point:{lag}"])

@@ -39,7 +39,9 @@ def blobs(side=40):
 
 
 def angle(a, b):
-    return np.degrees(np.arccos(min(1.0, abs(float(a @ b)) / np.linalg.norm(a) / np.linalg.norm(b))))
+    return np.degrees(
+        np.arccos(min(1.0, abs(float(a @ b)) / np.linalg.norm(a) / np.linalg.norm(b)))
+    )
 
 
 @pytest.mark.parametrize("to", [(0, 0, 1), (1, 0, 0), (-1, 2, 3), (0.6, 0, -0.8), (0, 0, -1)])
@@ -119,7 +121,9 @@ def test_texture_follows_a_field_of_directions():
     ways[:, :, :20], ways[:, :, 20:] = (0, 1, 0), (1, 0, 0)
     model = tb.method("texture", preset="fast").fit(rods())
     made = model.generate(shape, seed=3, target={"orientation": ways})
-    first, last = (tb.measure.fabric(part).directions[0] for part in (made[:, :, :16], made[:, :, 24:]))
+    first, last = (
+        tb.measure.fabric(part).directions[0] for part in (made[:, :, :16], made[:, :, 24:])
+    )
     assert angle(first, np.array([0, 1, 0])) < 12 and angle(last, np.array([1, 0, 0])) < 12
     assert abs(made.values.mean() - rods().values.mean()) < 0.01
     again = model.generate(shape, seed=3, target={"orientation": ways})
@@ -131,8 +135,14 @@ def test_texture_follows_a_field_of_sizes():
     shape = (32, 32, 64)
     size = np.ones(shape, np.float32)
     size[:, :, 32:] = 1.6
-    made = tb.method("texture", preset="fast").fit(rods()).generate(shape, seed=3, target={"size": size})
-    small, large = (tb.measure.specific_surface(part) for part in (made[:, :, :24], made[:, :, 40:]))
+    made = (
+        tb.method("texture", preset="fast")
+        .fit(rods())
+        .generate(shape, seed=3, target={"size": size})
+    )
+    small, large = (
+        tb.measure.specific_surface(part) for part in (made[:, :, :24], made[:, :, 40:])
+    )
     assert 1.3 < small / large < 2.0
 
 
@@ -145,5 +155,7 @@ def test_quilt_follows_a_field_of_directions():
     made = model.generate(shape, seed=3, target={"orientation": ways})
     error = fields.direction_errors(made, ways, size=16)
     assert np.nanmean(error[:, :, [0, -1]]) < 15
-    first, last = (tb.measure.fabric(part).directions[0] for part in (made[:, :, :16], made[:, :, 24:]))
+    first, last = (
+        tb.measure.fabric(part).directions[0] for part in (made[:, :, :16], made[:, :, 24:])
+    )
     assert angle(first, np.array([0, 1, 0])) < 12 and angle(last, np.array([1, 0, 0])) < 12

@@ -46,7 +46,8 @@ class Request:
         phase "void" (label 0 where none has that name), "volume_fraction" what remains to 1,
         "volume_fraction:PHASE" the share of a phase, all 0 .. 1; "surface", "mean_curvature" and
         "euler" are densities of the Minkowski functionals of the solid, per voxel; of pictures
-        "perimeter" and "euler". "orientation" is the direction that the exemplar's principal
+        "perimeter" and "euler"; "two_point:R" the two-point function of the solid at R voxels,
+        averaged over the axes. "orientation" is the direction that the exemplar's principal
         fabric direction (the longest mean intercept) is turned to: a vector (z, y, x), or a field
         (Z, Y, X, 3) of them, sign and length free; "size" the factor on its lengths, 0.25 .. 4.
         Methods say which they honour. Fields are kept as float32 arrays.

@@ -31,6 +31,9 @@ FRAME = ("orientation", "size")
 OF_A_PHASE = "volume_fraction:"
 """Prefix of a phase's name: "volume_fraction:binder" is the share of the phase binder."""
 
+TWO_POINT = "two_point:"
+"""Prefix of a distance in voxels: "two_point:4" is the two-point function of the solid at it."""
+
 Target = float | np.ndarray
 
 
@@ -85,8 +88,16 @@ def _check_sum(found: Mapping[str, Target]) -> None:
 
 def is_target(name: Any) -> bool:
     """Return whether a descriptor of this name can be a target."""
-    of_a_phase = isinstance(name, str) and name.startswith(OF_A_PHASE) and name != OF_A_PHASE
-    return of_a_phase or name in RANGES
+    if not isinstance(name, str):
+        return False
+    of_a_phase = name.startswith(OF_A_PHASE) and name != OF_A_PHASE
+    return of_a_phase or name in RANGES or _is_two_point(name)
+
+
+def _is_two_point(name: str) -> bool:
+    """Return whether a name is that of a two-point function at a distance."""
+    lag = name[len(TWO_POINT) :]
+    return name.startswith(TWO_POINT) and lag.isascii() and lag.isdigit() and int(lag) > 0
 
 
 def densities_of(target: Mapping[str, Target]) -> dict[str, Target]:
@@ -138,7 +149,8 @@ def _as_value(value: Any, shape: tuple[int, ...], *, name: str) -> Target:
                 "such as tb.measure.fabric(image).directions[0]"
             )
         return as_directions(given, shape, name="the target orientation")
-    low, high = RANGES["volume_fraction" if name.startswith(OF_A_PHASE) else name]
+    share = name.startswith((OF_A_PHASE, TWO_POINT))
+    low, high = RANGES["volume_fraction" if share else name]
     if isinstance(value, Image) and value.kind != "grey":
         raise InputError(
             f"the target {name} is an image of {value.kind}: give a field of numbers (kind='grey')"

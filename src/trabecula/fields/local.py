@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number, as_spacing, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, phase_index
+from trabecula.core.target import TWO_POINT
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.fields.grid import of_image
@@ -53,8 +54,8 @@ def windowed(
         Side s of the windows in voxels, from 2 to the shortest side.
     names : str or sequence of str
         "volume_fraction" (of `phase`), "porosity" (of the phase void), "volume_fraction:PHASE" (of
-        that phase), and in 3-D "surface", "mean_curvature", "euler", in 2-D "perimeter", "euler"
-        (of `phase`).
+        that phase), "two_point:R" (of `phase`, at R voxels, 1 .. s - 1, averaged over the axes),
+        and in 3-D "surface", "mean_curvature", "euler", in 2-D "perimeter", "euler" (of `phase`).
     phase : str or int, optional
         Default: "solid", which is every phase but "void".
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
@@ -66,8 +67,8 @@ def windowed(
     -------
     fields : dict of str to (Z - s + 1, Y - s + 1, X - s + 1) float32
         Element (z, y, x) belongs to the window with first voxel (z, y, x). Fractions are of the s^3
-        voxels; functionals are densities over the (s - 1)^3 cubes of 2x2x2 voxels inside it, as
-        those of `measure.minkowski` of the window.
+        voxels, two-point functions of the pairs with both ends inside; functionals are densities
+        over the (s - 1)^3 cubes of 2x2x2 voxels inside it, as those of `measure.minkowski` of the window.
 
     Raises
     ------
@@ -97,7 +98,9 @@ def windowed(
     codes = _codes(inside) if set(names) & set(FUNCTIONALS[image.ndim]) else None
     fields = {}
     for name in names:
-        if codes is not None and name in FUNCTIONALS[image.ndim]:
+        if name.startswith(TWO_POINT):
+            fields[name] = _two_point(inside, _lag(name, width), width)
+        elif codes is not None and name in FUNCTIONALS[image.ndim]:
             fields[name] = _mean_of(codes, _functional_table(name, edges, neighbours), width - 1)
         else:
             which = inside if name == "volume_fraction" else image.values == _label(name, image)
@@ -204,7 +207,42 @@ def _check_descriptor(name: str, image: Image) -> None:
     if head == "volume_fraction" and sign:
         _label(name, image)
         return
+    if name.startswith(TWO_POINT):
+        return
     check_name(name, known, name=f"descriptor of {image.ndim}-D windows")
+
+
+def _lag(name: str, width: int) -> int:
+    """Return the distance in the name of a two-point function."""
+    lag = name[len(TWO_POINT) :]
+    if not lag.isascii() or not lag.isdigit() or not 1 <= int(lag) < width:
+        raise InputError(
+            f"the descriptor {name!r} should be two_point:R with R from 1 to {width - 1} voxels, "
+            f"in windows of {width}"
+        )
+    return int(lag)
+
+
+def _two_point(inside: np.ndarray, lag: int, width: int) -> np.ndarray:
+    """Return the share of pairs `lag` apart along the axes that are both inside, of every window,
+    float32.
+    """
+    total: np.ndarray | None = None
+    for axis in range(inside.ndim):
+        ends = [(slice(None),) * axis + (part,) for part in (slice(lag, None), slice(None, -lag))]
+        pairs = (inside[ends[0]] & inside[ends[1]]).astype(np.int64)
+        for other in range(inside.ndim):
+            # along the pair there are fewer
+            size = width - lag if other == axis else width
+            sums = np.cumsum(pairs, axis=other)
+            first = np.zeros_like(sums.take([0], axis=other))
+            sums = np.concatenate([first, sums], axis=other)
+            count = sums.shape[other] - size
+            pairs = sums.take(range(size, size + count), other) - sums.take(range(count), other)
+        total = pairs if total is None else total + pairs
+    assert total is not None
+    of = inside.ndim * (width - lag) * width ** (inside.ndim - 1)
+    return (total / of).astype(np.float32)
 
 
 def _label(name: str, image: Image) -> int:

@@ -353,3 +353,19 @@ def test_requests_that_cannot_be_met_say_why(model, parts, words):
 def test_a_picture_asks_for_a_pictures_shape(section):
     with pytest.raises(RequestError, match="give 2 numbers"):
         tb.method("quilt", connected="none").fit(section).generate(20, seed=1)
+
+
+def test_patches_are_chosen_by_their_two_point_function():
+    fine, coarse = (np.indices((32, 32)).sum(axis=0) // width % 2 for width in (2, 6))
+    sample = tb.Image(np.concatenate([fine, coarse], axis=1).astype(np.uint8), "labels")
+    model = tb.method("quilt", patch=10, overlap=3, connected="none", period="none").fit(sample)
+    far = tb.fields.windowed(sample, size=10, names=["two_point:2"])["two_point:2"]
+    made = [
+        model.generate((31, 31), seed=1, target={"volume_fraction": 0.5, "two_point:2": value})
+        for value in (float(far.min()), float(far.max()))
+    ]
+    low, high = (
+        tb.fields.windowed(one, size=10, names=["two_point:2"])["two_point:2"].mean()
+        for one in made
+    )
+    assert low < 0.1 and high > 0.25

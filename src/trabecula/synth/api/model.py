@@ -23,7 +23,7 @@ from trabecula.core.image import Image, outline
 from trabecula.core.progress import whole_run
 from trabecula.core.recipe import Recipe, versions
 from trabecula.core.request import Request, check_exemplar
-from trabecula.core.target import OF_A_PHASE
+from trabecula.core.target import OF_A_PHASE, TWO_POINT
 from trabecula.engine import checkpoint, tensors
 from trabecula.engine.files import replacing
 from trabecula.engine.memory import Plan, check_budget, largest_within
@@ -364,7 +364,9 @@ class Model(ABC):
 
     def _knows_target(self, name: str) -> bool:
         known = self.capabilities.targets
-        return name in known or (OF_A_PHASE in known and name.startswith(OF_A_PHASE))
+        return name in known or any(
+            head in known and name.startswith(head) for head in (OF_A_PHASE, TWO_POINT)
+        )
 
     def _check_target(self, request: Request) -> None:
         """Raise where the exemplars hold nothing like the target; a method that comes as near as it

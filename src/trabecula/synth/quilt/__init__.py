@@ -24,6 +24,7 @@ CAPABILITIES = Capabilities(
         "mean_curvature",
         "perimeter",
         "euler",
+        "two_point:",
         "orientation",
         "size",
     ),

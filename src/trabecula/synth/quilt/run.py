@@ -163,8 +163,7 @@ class QuiltRun:
             numbers = self.work.zeros("numbers")
             self.components = ComponentTracker(self.canvas, numbers, self.grid.wraps, followed)
         self.target = {
-            name: np.reshape(t, self.grid.shape) if np.ndim(t) else t
-            for name, t in target.items()
+            name: np.reshape(t, self.grid.shape) if np.ndim(t) else t for name, t in target.items()
         }
         self.mask = None if request.mask is None else request.mask.reshape(self.grid.shape)
         self.own = None if self.target else ExemplarShares.build(library, request.seed)

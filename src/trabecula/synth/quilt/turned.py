@@ -1,5 +1,5 @@
-"""Targets of direction and size: patches of turned and scaled copies, chosen by the local fabric and
-the size of their copy as further descriptors.
+"""Targets of direction and size: patches of turned and scaled copies, chosen by the local fabric
+and the size of their copy as further descriptors.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.core.target import FRAME, Target, densities_of, porosity_of
+from trabecula.core.target import FRAME, OF_A_PHASE, Target, densities_of, porosity_of
 from trabecula.synth.quilt.config import QuiltConfig
 from trabecula.synth.quilt.patch_library import PatchLibrary
 from trabecula.synth.shared.frames import TargetFrames
@@ -64,7 +64,7 @@ def frame_targets(target: Mapping[str, Target], porosity: float) -> dict[str, Ta
     the exemplar's porosity is one, since void fits to void anywhere.
     """
     found = densities_of(target)
-    if porosity_of(found) is None and not any(":" in name for name in found):
+    if porosity_of(found) is None and not any(name.startswith(OF_A_PHASE) for name in found):
         found["porosity"] = porosity
     if "orientation" in target:
         fabric = wanted_fabric(target["orientation"])

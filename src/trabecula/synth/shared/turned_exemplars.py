@@ -185,14 +185,13 @@ def local_fabric(image: Image) -> np.ndarray:
     """
     void = image.phases.index("void") if "void" in image.phases else 0
     solid = Image((image.values != void).astype(np.uint8), "labels")
-    tensor = structure_tensor(solid, sigma=_SIGMA, window=_WINDOW)[..., ::_EVERY, ::_EVERY, ::_EVERY]
+    tensor = structure_tensor(solid, sigma=_SIGMA, window=_WINDOW)[
+        ..., ::_EVERY, ::_EVERY, ::_EVERY
+    ]
     trace = tensor[0, 0] + tensor[1, 1] + tensor[2, 2]
     some = trace > 1e-6
     return np.stack(
-        [
-            np.where(some, tensor[i, j] / np.where(some, trace, 1), (i == j) / 3)
-            for i, j in PAIRS
-        ]
+        [np.where(some, tensor[i, j] / np.where(some, trace, 1), (i == j) / 3) for i, j in PAIRS]
     ).astype(np.float32)
 
 

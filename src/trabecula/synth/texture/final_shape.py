@@ -8,10 +8,10 @@ So the interface that was voted for is kept, and moved along its own distance:
    voxels have steps.
 3. Shift it smoothly until the fraction around every voxel is that of the target (`local_offset`),
    by three voxels at most: where struts get thinner some break.
-4. Split at the target's mean fraction, to the voxel, and join what the shift has broken.
-
-A second pass of steps 1 to 3 brings the fraction nearer by a quarter, and rounds thin struts away:
-of a bone of 13 % thickness grew from 1.11 to 1.19 of the scan's, anisotropy fell from .98 to .89.
+4. The same again, of what came out, without smoothing: a second time that rounds thin struts away
+   (of a bone of 13 % they grew from 1.06 to 1.19 of the scan's thickness), and without a second
+   pass the fraction is off by half as much again. Then split at the target's mean fraction, to the
+   voxel, and join what the last shift has broken.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from trabecula.synth.texture.joined import StrutField, join_components, join_sta
 from trabecula.synth.texture.local_offset import LocalOffset
 
 _WIDTH = 20  # voxels a side of a window in which the fraction is to be that of the target
-_STEPS = 120  # of the shift
+_STEPS = (60, 60)  # of the shift in every pass
 _FULL = 15  # the last steps, which count every voxel
-_MOST = 3.0  # voxels by which an interface moves
+_MOST = 3.0  # voxels by which an interface moves in one pass
 _THIN = 0.9  # voxels, radius of the last joins
 
 
@@ -85,15 +85,20 @@ def settle_shape(
     unit : float
         Steps of the field in a voxel.
     """
-    most = _MOST * unit * UNIT
-    field = _rounded(votes)
-    joins = 0 if struts is None else join_components(field, region, struts)
-    votes = _distances(field, region, unit)
-    del field
-    local = LocalOffset.of(region, fractions, _WIDTH)
-    for number in range(_STEPS):
-        local.step(votes[0], low=-most, high=most, every=2 if number < _STEPS - _FULL else 1)
-    local.add_to(votes[0])
+    most, joins = _MOST * unit * UNIT, 0
+    for number_of_pass, steps in enumerate(_STEPS):
+        field = _rounded(votes)
+        if struts is not None:
+            joins += join_components(field, region, struts)
+        votes = _distances(field, region, unit)
+        if number_of_pass == 0:
+            soften(votes[0], region.wraps)
+        del field
+        local = LocalOffset.of(region, fractions, _WIDTH)
+        for number in range(steps):
+            every = 2 if number < steps - _FULL else 1
+            local.step(votes[0], low=-most, high=most, every=every)
+        local.add_to(votes[0])
     upper = brightest_voxels(votes[0], _count_of(fractions, region), region.free)
     if struts is not None:
         field = _signed(upper, votes)
@@ -133,7 +138,6 @@ def _distances(field: np.ndarray, region: Region, unit: float) -> np.ndarray:
 
         for_slabs(write, len(side))
         del distance, side, mark, write  # whose defaults hold the arrays
-    soften(votes[0], region.wraps)
     return votes
 
 

@@ -43,10 +43,10 @@ from trabecula.synth.shared.content.kinds import (
     complete,
     content_of,
 )
+from trabecula.synth.shared.frames import frames_of
 from trabecula.synth.shared.matching.principal_components import basis_bytes
 from trabecula.synth.shared.matching.region import Region, has_cube, regions_of
 from trabecula.synth.shared.matching.sources import Stack
-from trabecula.synth.shared.frames import frames_of
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve

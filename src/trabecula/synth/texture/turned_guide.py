@@ -34,7 +34,8 @@ def guide_turned(
     """Return a guided grid of level `index` whose search follows a target's orientation and size as
     well.
     """
-    assert grid.guide is not None
+    fractions = grid.guide
+    assert fractions is not None
     box, steps = grid.candidates.basis.box, grid.candidates.steps
     places = [
         (np.arange(count) * step + w // 2) % side
@@ -45,12 +46,14 @@ def guide_turned(
     guide = memmap.empty((*grid.shape, 1 + added), np.int16)
 
     def work(start: int, stop: int) -> None:
-        guide[start:stop, ..., :1] = grid.guide[start:stop]
+        guide[start:stop, ..., :1] = fractions[start:stop]
         near = [places[0][start:stop], *places[1:]]
         guide[start:stop, ..., 1:] = _wanted(fields, near, index)
 
     for_slabs(work, len(guide))
-    return replace(grid, guide=guide, candidates=_add_features(grid.candidates, copies, index, fields))
+    return replace(
+        grid, guide=guide, candidates=_add_features(grid.candidates, copies, index, fields)
+    )
 
 
 def _wanted(
