@@ -68,7 +68,8 @@ def windowed(
     fields : dict of str to (Z - s + 1, Y - s + 1, X - s + 1) float32
         Element (z, y, x) belongs to the window with first voxel (z, y, x). Fractions are of the s^3
         voxels, two-point functions of the pairs with both ends inside; functionals are densities
-        over the (s - 1)^3 cubes of 2x2x2 voxels inside it, as those of `measure.minkowski` of the window.
+        over the (s - 1)^3 cubes of 2x2x2 voxels inside it, as those of `measure.minkowski` of the
+        window.
 
     Raises
     ------

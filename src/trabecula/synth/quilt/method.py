@@ -35,8 +35,9 @@ from trabecula.synth.quilt.run import QuiltRun, run_stages
 from trabecula.synth.quilt.turned import frame_targets, frame_weights, turned_library
 from trabecula.synth.shared.frames import frames_of
 from trabecula.synth.shared.orient import symmetries
-from trabecula.synth.shared.turned_exemplars import DIRECTIONS
+from trabecula.synth.shared.turned_exemplars import DIRECTIONS, copied_voxels
 
+_OF_A_COPY = 28  # bytes of an exemplar's voxel in a turned copy, which holds half of them
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 
 
@@ -155,11 +156,15 @@ class QuiltModel(Model):
         grid = PatchGrid(shape, wraps, library.box, library.step, (0, 0, 0))
         planes = label_bits(len(library.images[0].phases))
         voxels = sum(image.values.size for image in library.images)
-        return grid, {
+        fixed = {
             "interpreter and kernels": _PROCESS,
             "exemplar": voxels * (2 + 16 * planes),
             "candidates": _candidate_bytes(library, grid, len(request.target)),
         }
+        if frame_of(request.target):
+            copied = copied_voxels(self.exemplars, frames_of(request.target, DIRECTIONS))
+            fixed["turned copies"] = _OF_A_COPY * planes * copied
+        return grid, fixed
 
     def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
         values, trace = self.make_with_trace(request)

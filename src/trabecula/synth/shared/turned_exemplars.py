@@ -106,6 +106,15 @@ def turn_exemplars(
     return TurnedExemplars(tuple(images), np.array(sizes), fabrics)
 
 
+def copied_voxels(exemplars: Sequence[Image], frames: TargetFrames) -> int:
+    """Return the voxels of exemplars times the copies of each, at their sizes: what a forecast
+    counts by; turned boxes hold less.
+    """
+    sizes = [frames.split(number)[1] for number in range(frames.count)]
+    own = sum(int(np.prod(image.shape)) for image in exemplars)
+    return round(own * sum(size**3 for size in sizes))
+
+
 def principal_direction(exemplars: Sequence[Image]) -> np.ndarray:
     """Return the principal direction of the fabric of exemplars together, a unit vector.
 

@@ -63,6 +63,7 @@ from trabecula.synth.shared.statistics.two_point import Correlations, correlatio
 from trabecula.synth.shared.turned_exemplars import (
     DIRECTIONS,
     TurnedExemplars,
+    copied_voxels,
     turn_exemplars,
 )
 from trabecula.synth.texture import CAPABILITIES
@@ -96,6 +97,7 @@ from trabecula.synth.texture.scan_phases import ScanPhases, find_phases
 _WINDOW, _NARROWEST, _WINDOWS = 2, 8, 6
 _LEAST_LEFT = 1e-6  # of a phase
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
+_OF_A_COPY = 14  # bytes of an exemplar's voxel in a turned copy, which holds half of them
 _EACH, _CHANNEL = 52, 14  # bytes of a voxel, and of its channels, while grey values are learnt
 _NAMES = {2: ("dark", "bright"), 3: ("dark", "middle", "bright")}
 _PAINTED, _PATCHES = "structure, then grey values", "patches of the exemplar"
@@ -545,10 +547,10 @@ class TextureModel(Model):
             )
 
     def memory(self, request: Request) -> Mapping[str, int]:
-        return forecast(self._stages(request), self._fixed()).memory
+        return forecast(self._stages(request), self._fixed(request)).memory
 
     def resident_memory(self, request: Request) -> Mapping[str, int]:
-        return resident(self._stages(request, mapped=True), self._fixed())
+        return resident(self._stages(request, mapped=True), self._fixed(request))
 
     def _stages(self, request: Request, *, mapped: bool = False) -> tuple[Stage, ...]:
         """Declare the arrays of a run that compete for the peak: those of new material, or of the
@@ -615,11 +617,19 @@ class TextureModel(Model):
             ),
         )
 
-    def _fixed(self) -> dict[str, int]:
-        """Return the bytes that do not depend on the request."""
+    def _fixed(self, request: Request) -> dict[str, int]:
+        """Return the bytes that do not depend on the request's shape."""
+        fixed = self._held()
+        if frame_of(request.target):
+            frames = frames_of(request.target, DIRECTIONS)
+            fixed["turned copies"] = _OF_A_COPY * copied_voxels(self.exemplars, frames)
+        return fixed
+
+    def _held(self) -> dict[str, int]:
+        """Return the bytes of the model."""
         exact = self.config.search == "exact"
         if self.painted is not None and self.learnt is None:
-            fixed = self.painted.structure._fixed()
+            fixed = self.painted.structure._held()
             fields = sum(stack.field.nbytes for stack in self.stacks)
             return fixed | {"exemplar": fixed["exemplar"] + fields + self.painted.grey.nbytes}
         kept = [c for aim in self.aims for c in aim.candidates] if self.top else []
