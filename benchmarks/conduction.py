@@ -1,4 +1,4 @@
-"""`conduction`: the volume and the spheres on which the tortuosity codes of the field were timed."""
+"""`conduction`: the volume and the spheres on which the field times its tortuosity codes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def conduction() -> None:
 def _cells(volume: str | int, axis: int, known: str) -> list[str]:
     ran = spend([sys.executable, __file__, str(volume), str(axis)])
     found = ran.found
-    seconds = f"{ran.cpu:.1f}", f"{ran.wall:.1f}"
+    seconds = f"{ran.busy:.1f}", f"{ran.wall:.1f}"
     tau = f"{found['tau']:.4f}" if found["converged"] else "not converged"
     return [tau, known, str(found["iterations"]), *seconds, f"{ran.peak / 1e9:.2f}"]
 
