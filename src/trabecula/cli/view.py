@@ -1,4 +1,4 @@
-"""`trabecula view FILE [FILE2 ...] [--html OUT]`."""
+"""`trabecula view FILE [FILE2 ...] [--endless MODEL] [--html OUT]`."""
 
 from __future__ import annotations
 
@@ -16,10 +16,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the files, the page's place and the figures beside them."""
     parser.add_argument(
         "files",
-        nargs="+",
+        nargs="*",
         metavar="FILE",
         help="volumes or pictures side by side, or sample:NAME; 6 at most",
     )
+    parser.add_argument(
+        "--endless",
+        metavar="MODEL",
+        help="a model of gan, by file or name (trabecula models), that makes new material in the "
+        "page: other seeds, sizes, porosities; beside its exemplar, the first FILE, if any",
+    )
+    parser.add_argument(
+        "--side", default="64", metavar="N", help="of endless material: 32, 64 (default), 96 or 128"
+    )
+    parser.add_argument("--seed", default="0", metavar="N", help="of endless material (default 0)")
     parser.add_argument(
         "--html",
         metavar="OUT",
@@ -57,8 +67,11 @@ def run(options: argparse.Namespace) -> int:
     from trabecula.cli import terminal
     from trabecula.pipeline.certificate_page import check_page
     from trabecula.pipeline.inputs import load
+    from trabecula.synth.api.serialize import load_model
     from trabecula.view.page import view
 
+    if not (options.files or options.endless):
+        raise InputError("nothing to show: name a FILE, or a model with --endless")
     if options.html:
         check_page(options.html)
     port = shared.integer(options.port, name="--port")
@@ -68,7 +81,16 @@ def run(options: argparse.Namespace) -> int:
     fields = {name: load(file, threshold="none") for name, file in map(_field_words, options.field)}
     images = [_load(file, options) for file in options.files]
     names = [Path(file).name for file in options.files]
-    page = view(*images, names=names, look=options.look, certificate=certificate, fields=fields)
+    page = view(
+        *images,
+        names=names,
+        look=options.look,
+        certificate=certificate,
+        fields=fields,
+        endless=load_model(options.endless) if options.endless else None,
+        side=shared.integer(options.side, name="--side"),
+        seed=shared.integer(options.seed, name="--seed"),
+    )
     if options.html:
         page.save(options.html)
         print(f"{options.html}: {len(page.html) / 1e6:.1f} MB")

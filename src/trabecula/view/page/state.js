@@ -40,6 +40,12 @@ function settings(app) {
       ([azimuth, elevation, offset]) => Object.assign(cut, { azimuth, elevation, offset })),
     numbers("slices", [share, share, share], () => app.focus, (focus) => { app.focus = focus; }),
   ];
+  if (app.endless) {
+    const { wanted } = app.endless, far = inRange(-(2 ** 30), 2 ** 30);
+    const checks = [isSeed, (side) => SIDES.includes(side), inRange(-1, 1), ...Array(3).fill((at) => far(at) && at % CELLS === 0)];
+    all.push(numbers("made", checks, () => [wanted.seed, wanted.side, wanted.porosity, ...wanted.corner],
+      ([seed, side, porosity, ...corner]) => { Object.assign(wanted, { seed, side, porosity, corner }); app.endless.show(); }));
+  }
   app.volumes.forEach((volume, i) => {
     const camera = () => app.cameras[i], phases = () => volume.phases;
     all.push(
