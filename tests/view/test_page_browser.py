@@ -34,13 +34,6 @@ def foam(side=24, seed=0):
     return tb.Image((noise > 0).astype(np.uint8), "labels", 20, "um")
 
 
-@pytest.fixture(scope="module")
-def browser():
-    running = chromium.Chromium()
-    yield running
-    running.close()
-
-
 @pytest.fixture
 def show(browser, tmp_path):
     """Open a page of some images from a file; everything that went wrong in it fails the test at
