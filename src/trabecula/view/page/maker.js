@@ -3,7 +3,7 @@
 "use strict";
 
 const MARGIN = CELL / 2;   // voxels around the box in which specks are seen whole
-const LAGS = 96;           // of a distance that S2 is counted for
+const LAGS = 6144;         // over the voxels along an edge: lags of a distance that S2 is counted for
 
 class Maker {
   // `model`: settings of the network, offsets, present, specks, void (the label of the pores), quantiles (of the upper half,
@@ -146,9 +146,10 @@ function gather(labels, edge, steps, sides, first, most) {
 }
 
 // S2(r) of a phase for r = 0 .. most: the share of pairs that fit and have both ends in it, over lags whose length rounds to r; of
-// many lags LAGS, evenly by their height over the sphere.
+// many lags LAGS / side, evenly by their height over the sphere (a larger box has more pairs of each).
 function radialTwoPoint(labels, side, inside, most) {
-  const words = Math.ceil(side / 32) + 1, bits = new Uint32Array(side * side * words);
+  // Rows end in zeros, as many as the longest lag, so that a lag along x shifts whole planes of bits.
+  const words = Math.ceil((side + most) / 32), bits = new Uint32Array(side * side * words + 4);
   for (let row = 0, at = 0; row < side * side; row++) {
     for (let x = 0; x < side; x++, at++) if (inside(labels[at])) bits[row * words + (x >> 5)] |= 1 << (x & 31);
   }
@@ -162,7 +163,7 @@ function radialTwoPoint(labels, side, inside, most) {
     }
   }
   return shells.map((lags) => {
-    const few = Math.min(LAGS, lags.length);
+    const few = Math.min(Math.round(LAGS / side), lags.length);
     let [pairs, fits] = [0, 0];
     for (let k = 0; k < few; k++) {
       const [z, y, x] = lags[Math.floor((k + 0.5) * lags.length / few)];
@@ -176,20 +177,19 @@ function radialTwoPoint(labels, side, inside, most) {
 
 // Pairs of set bits a lag (z >= 0, y, x) apart.
 function countPairs(bits, side, words, [dz, dy, dx]) {
-  const skip = Math.abs(dx) >> 5, shift = Math.abs(dx) & 31;
+  const skip = Math.abs(dx) >> 5, shift = Math.abs(dx) & 31, up = 32 - shift, rows = side - Math.abs(dy);
   let count = 0;
   for (let z = 0; z + dz < side; z++) {
-    for (let y = Math.max(0, -dy); y < Math.min(side, side - dy); y++) {
-      const here = (z * side + y) * words, there = ((z + dz) * side + y + dy) * words;
-      // The row that is read further on lies to the right.
-      const [fixed, moved] = dx < 0 ? [there, here] : [here, there];
-      for (let k = 0; k + skip < words - 1; k++) {
-        const at = moved + k + skip, next = shift ? (bits[at] >>> shift) | (bits[at + 1] << (32 - shift)) : bits[at];
-        let both = bits[fixed + k] & next;
-        both -= (both >>> 1) & 0x55555555;
-        both = (both & 0x33333333) + ((both >>> 2) & 0x33333333);
-        count += Math.imul((both + (both >>> 4)) & 0x0f0f0f0f, 0x01010101) >>> 24;
-      }
+    const here = (z * side + Math.max(0, -dy)) * words, there = ((z + dz) * side + Math.max(0, dy)) * words;
+    // What is shifted lies to the right.
+    const fixed = dx < 0 ? there : here, moved = (dx < 0 ? here : there) + skip, end = rows * words - skip;
+    for (let k = 0; k < end; k++) {
+      let both = bits[fixed + k];
+      if (both === 0) continue;
+      both &= shift === 0 ? bits[moved + k] : (bits[moved + k] >>> shift) | (bits[moved + k + 1] << up);
+      both -= (both >>> 1) & 0x55555555;
+      both = (both & 0x33333333) + ((both >>> 2) & 0x33333333);
+      count += Math.imul((both + (both >>> 4)) & 0x0f0f0f0f, 0x01010101) >>> 24;
     }
   }
   return count;
