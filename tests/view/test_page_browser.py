@@ -111,7 +111,8 @@ def test_what_is_skipped_would_not_have_been_seen(show, opacity):
     values[4:9, 30:35, 5:20], values[20:22, :, 22:24] = True, True
     tab = show(values)
     tab.run(
-        f"app.setCut('none'); app.volumes[0].opacity = {opacity}; app.volumes[0].dirty = true; "
+        f"app.setCut('none'); app.volumes[0].phases[1].opacity = {opacity}; "
+        "app.volumes[0].dirty = true; "
         "app.redraw()"
     )
     canvas(tab)

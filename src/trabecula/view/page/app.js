@@ -367,6 +367,7 @@ async function start() {
     for (const [j, field] of about.fields.entries()) {
       fields.push({ ...field, voxels: await unpack($(`field-${i}-${j}`), depth * height * width) });
     }
+    about.phases.forEach((phase) => { phase.opacity = 1; });
     volumes.push({ ...about, voxels, sides, fields, extent: sides.map((side, k) => side * about.edges[k]), opacity: 1, dirty: true });
   }
   let drawing = null;

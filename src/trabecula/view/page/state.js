@@ -48,10 +48,12 @@ function settings(app) {
   }
   app.volumes.forEach((volume, i) => {
     const camera = () => app.cameras[i], phases = () => volume.phases;
+    const sheer = () => (volume.kind === "labels" ? volume.phases : [volume]);
     all.push(
       numbers(`camera${i}`, CAMERA, () => [camera().azimuth, camera().elevation, camera().zoom, ...camera().pan],
         ([azimuth, elevation, zoom, ...pan]) => Object.assign(camera(), { azimuth, elevation, zoom, pan })),
-      numbers(`opacity${i}`, [inRange(0.05, 1)], () => [volume.opacity], ([opacity]) => { volume.opacity = opacity; }),
+      numbers(`opacity${i}`, sheer().map(() => inRange(0.05, 1)), () => sheer().map((of) => of.opacity),
+        (given) => sheer().forEach((of, k) => { of.opacity = given[k]; })),
       numbers(`ramp${i}`, [byte, byte, byte, byte], () => [volume.low, volume.high, ...volume.window],
         ([low, high, ...window]) => Object.assign(volume, { low, high, window })),
       numbers(`shown${i}`, phases().map(() => share), () => phases().map((phase) => Number(phase.visible)),

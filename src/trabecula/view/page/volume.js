@@ -45,6 +45,14 @@ function drawnTable({ kind, phases, low, high }) {
   return table;
 }
 
+const isVeil = ({ phases }, value) => Boolean(phases[value & LABEL]?.visible) && phases[value & LABEL].opacity < 1;
+
+// The same of what has a surface: of labels without the translucent phases, where others are opaque.
+function surfaceTable(volume) {
+  const table = drawnTable(volume);
+  return volume.veiled ? table.map((drawn, value) => (isVeil(volume, value) ? 0 : drawn)) : table;
+}
+
 // The field of one slice across z. Labels are blurred as blur_axis does for stills, so that no staircase is left: along z
 // from the voxels, then y, then x, with weights that sum to 256. A slice at a time, since a copy of all would not fit.
 // Blocks with a thin wall stay full: a tilted wall of one voxel would blur into holes.
@@ -87,8 +95,8 @@ function brightness(voxels, at) {
 
 // A slice of labels in which hidden voxels beside drawn ones take theirs: blurring may move a surface by half a voxel.
 // `values` are what is spread: the labels themselves, or a field.
-function spreadSlice({ voxels, shape: [depth, height, width], phases }, values, z, out) {
-  const seen = Array.from({ length: 256 }, (_, v) => phases[v & LABEL]?.visible), size = height * width, start = z * size;
+function spreadSlice(volume, values, z, out) {
+  const { voxels, shape: [depth, height, width] } = volume, seen = surfaceTable(volume), size = height * width, start = z * size;
   const mask = values === voxels ? LABEL : 255;
   for (let y = 0, i = 0; y < height; y++) {
     for (let x = 0; x < width; x++, i++) {
