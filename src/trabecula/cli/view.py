@@ -11,6 +11,8 @@ from trabecula.cli import options as shared
 from trabecula.cli import view_input
 from trabecula.core.errors import FileError, InputError
 
+_LINES = 150
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the files, the page's place and the figures beside them."""
@@ -53,6 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "reads; again for more",
     )
     parser.add_argument(
+        "--streamlines",
+        metavar="AXIS",
+        help="solve slow flow through the void of the first FILE along z, y or x, and draw 150 "
+        "streamlines",
+    )
+    parser.add_argument(
         "--port", default="0", metavar="N", help="of 127.0.0.1 (default: a free one)"
     )
     parser.add_argument(
@@ -87,6 +95,7 @@ def run(options: argparse.Namespace) -> int:
         look=options.look,
         certificate=certificate,
         fields=fields,
+        streamlines=_streamlines(images, options.streamlines),
         endless=load_model(options.endless) if options.endless else None,
         side=shared.integer(options.side, name="--side"),
         seed=shared.integer(options.seed, name="--seed"),
@@ -107,6 +116,25 @@ def _load(file: str, options: argparse.Namespace) -> Any:
     if slabs is not None:
         return slabs
     return view_input.load_for_view(file, options, need=lambda *volume: forecast(*volume).peak)
+
+
+def _streamlines(images: list[Any], axis: str | None) -> Any:
+    """Return the streamlines of the first volume; None where none are asked for."""
+    from trabecula.core.checks import check_name
+    from trabecula.core.image import Image
+    from trabecula.measure import streamlines
+
+    if axis is None:
+        return None
+    check_name(axis, "zyx", name="axis of --streamlines")
+    if not images or not isinstance(images[0], Image) or images[0].kind != "labels":
+        raise InputError(
+            "--streamlines: the first FILE is no volume of labels in memory; give one, or --crop"
+        )
+    lines = streamlines(images[0], axis="zyx".index(axis), count=_LINES)
+    if not lines:
+        raise InputError(f"--streamlines {axis}: the void does not percolate along {axis}")
+    return lines
 
 
 def _field_words(text: str) -> tuple[str, str]:

@@ -281,7 +281,7 @@ class App {
       const cell = this.cells[i], width = pixels(cell.width), height = pixels(cell.height);
       const bottom = pixels(clientHeight) - pixels(cell.top + cell.height);
       const view = { camera: this.cameras[i], cut: this.cut, look: this.look, pixel: cell.pixel * cell.width / width,
-        foot: cell.foot * height / cell.height };
+        foot: cell.foot * height / cell.height, density };
       const place = [cell.left ? pixels(cell.left) : 0, Math.max(0, bottom), width, height];
       this.drawing.draw(volume, place, view, { jitter: JITTER[pass], blend: 1 / (pass + 1), ...options });
     });
@@ -368,7 +368,8 @@ async function start() {
       fields.push({ ...field, voxels: await unpack($(`field-${i}-${j}`), depth * height * width) });
     }
     about.phases.forEach((phase) => { phase.opacity = 1; });
-    volumes.push({ ...about, voxels, sides, fields, extent: sides.map((side, k) => side * about.edges[k]), opacity: 1, dirty: true });
+    const lines = about.lines && { ...about.lines, shown: true, values: await unpackLines($(`lines-${i}`), about.lines) };
+    volumes.push({ ...about, lines, voxels, sides, fields, extent: sides.map((side, k) => side * about.edges[k]), opacity: 1, dirty: true });
   }
   let drawing = null;
   try {

@@ -151,7 +151,8 @@ function materialControls(app, volume) {
   const names = volume.phases.map((phase, label) => [String(label), phase.name]);
   const which = choice("Surface of", names, () => String(chosen), (value) => { chosen = Number(value); fill(); });
   fill();
-  return [...tints, ...list, which, host];
+  const lines = volume.lines ? [tick("Streamlines", () => volume.lines.shown, (value) => { volume.lines.shown = value; app.redraw(); })] : [];
+  return [...tints, ...lines, ...list, which, host];
 }
 
 // Transfer function of greys: opacity rises from `low` to `high`; colours run from dark to bright over the window.

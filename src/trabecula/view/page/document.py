@@ -32,6 +32,7 @@ from trabecula.view.volume import LEVELS, WEIGHTS
 _SCRIPTS = (
     "volume.js",
     "scene.js",
+    "lines.js",
     "drawing.js",
     "probe.js",
     "tape.js",
@@ -139,8 +140,8 @@ def document(
     volumes : sequence of str
         Their voxels, `pack`.
     blocks : mapping, optional
-        Further packed bytes by the names of their elements: "field-VOLUME-FIELD", and of endless
-        material "weights" and "quantiles".
+        Further packed bytes by the names of their elements: "field-VOLUME-FIELD",
+        "lines-VOLUME", and of endless material "weights" and "quantiles".
     live : bool
         It may ask its own server.
     """
@@ -184,6 +185,8 @@ def document(
         "vertex": _asset("march.vert"),
         "fragment": _asset("march.frag").replace("// {constants}", constants),
         "showing": _asset("show.frag"),
+        "linevertex": _asset("lines.vert"),
+        "linefragment": _asset("lines.frag"),
         "worker": _joined(_WORKER) if endless else "",
         "script": script,
     }

@@ -17,7 +17,9 @@ class Drawing {
     const { gl } = this;
     this.programs = {};
     this.marcher([]);
-    gl.bindVertexArray(gl.createVertexArray());
+    this.array = gl.createVertexArray();
+    gl.bindVertexArray(this.array);
+    this.lines = null;
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     this.mean = gl.getExtension("EXT_color_buffer_float") && { width: 0, height: 0, buffer: gl.createFramebuffer(), program: this.link("showing") };
     const names = gl.getExtension("WEBGL_debug_renderer_info");
@@ -38,10 +40,10 @@ class Drawing {
     return (this.programs[words] = { program, places });
   }
 
-  link(fragment, words = []) {
+  link(fragment, words = [], vertex = "vertex") {
     const { gl } = this, defined = words.map((word) => `#define ${word}\n`).join("");
     const program = gl.createProgram();
-    for (const [kind, id] of [[gl.VERTEX_SHADER, "vertex"], [gl.FRAGMENT_SHADER, fragment]]) {
+    for (const [kind, id] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
       const shader = gl.createShader(kind);
       gl.shaderSource(shader, document.getElementById(id).textContent.trim().replace("\n", `\n${defined}`));
       gl.compileShader(shader);
@@ -171,12 +173,22 @@ class Drawing {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
+  drawLines(volume, place, view, jitter) {
+    const { gl } = this;
+    this.lines ||= new LineLayer(this);
+    this.lines.resize(gl.canvas.width, gl.canvas.height);
+    const reach = this.lines.draw(volume, place, view, jitter, view.density);
+    gl.bindVertexArray(this.array);
+    return reach;
+  }
+
   // Draw a volume into (left, bottom, width, height) of the canvas; `blend` below 1 mixes it with what is there.
-  // view: { camera, cut, look, pixel (its edge in the volume's unit), foot (free pixels below) }; `pass` from 0 on is one of
+  // view: { camera, cut, look, pixel (its edge in the volume's unit), foot (free pixels below), density (pixels a CSS pixel) }; `pass` from 0 on is one of
   // the refined light. `count` draws the number of samples in place of light, and to the canvas at once.
   draw(volume, [left, bottom, width, height], view, { jitter = [0, 0], blend = 1, skip = true, count = false, pass = -1 } = {}) {
     const { gl } = this, { textures, fine } = volume, averaged = Boolean(this.mean) && !count;
-    const wanted = { FINE: fine, FIELD: textures.tint, VEILED: volume.veiled, REFINED: pass >= 0 };
+    const lined = volume.lines && volume.lines.shown, reach = lined ? this.drawLines(volume, [left, bottom, width, height], view, jitter) : 0;
+    const wanted = { LINES: lined, FINE: fine, FIELD: textures.tint, VEILED: volume.veiled, REFINED: pass >= 0 };
     const { program, places } = this.marcher(Object.keys(wanted).filter((word) => wanted[word]));
     gl.useProgram(program);
     gl.bindFramebuffer(gl.FRAMEBUFFER, averaged ? this.mean.buffer : null);
@@ -211,6 +223,15 @@ class Drawing {
       gl.activeTexture(gl.TEXTURE0 + i);
       gl.bindTexture(gl.TEXTURE_3D, texture || field);
     });
+    if (lined) {
+      gl.uniform1f(places.uLineReach, reach);
+      gl.uniform1i(places.uLineColour, 6);
+      gl.uniform1i(places.uLineDepth, 7);
+      [this.lines.colour, this.lines.depth].forEach((texture, i) => {
+        gl.activeTexture(gl.TEXTURE6 + i);
+        gl.bindTexture(gl.TEXTURE_2D, texture);
+      });
+    }
     gl.viewport(left, bottom, width, height);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA);

@@ -1,7 +1,7 @@
 #version 300 es
 // The ray marcher and the light of the page: the same model as rays.py and shading.py, where it is explained.
 // Positions are in voxels (x, y, z), the corner of voxel 0 at 0; t is a length in smallest voxel edges.
-// FINE, FIELD, VEILED and REFINED are defined where they are wanted: a processor that draws runs both sides of a branch.
+// FINE, FIELD, VEILED, LINES and REFINED are defined where they are wanted: a processor that draws runs both sides of a branch.
 precision highp float;
 precision highp int;
 precision highp sampler3D;
@@ -30,6 +30,11 @@ uniform bool uCloud;         // all that is drawn is translucent
 uniform float uDense[16];    // absorption of a phase by a voxel's edge, where it is translucent
 uniform vec2 uOrigin, uJitter;
 uniform float uHeight;
+#ifdef LINES
+uniform sampler2D uLineColour;
+uniform highp sampler2D uLineDepth;
+uniform float uLineReach;    // along the ray, where that depth is 1
+#endif
 uniform bool uSkip, uCount, uLinear;
 out vec4 colour;
 
@@ -39,7 +44,8 @@ const float CONE = 0.16;     // the quick light's towards the lamp
 const float DISC = 0.14;     // half the angle under which the lamp is seen, in the refined light
 const float SKY = 48.0;      // voxels as far as material keeps the sky out
 float samples = 0.0;
-float reached = FAR;         // where the ray met a surface
+float reached = FAR;         // where the ray meets a surface, or a line before it
+vec3 beyond;                 // light of what is there: the background, or the line
 
 #ifdef FINE
 bool isFine(vec3 p) {
@@ -333,7 +339,7 @@ vec3 solid(vec3 origin) {
   vec3 normal;
   bool flatFace;
   float t = hit(origin, normal, flatFace);
-  if (t >= FAR) return uBackground;
+  if (t >= reached) return beyond;
   reached = t;
   vec3 p = origin + t * uDirection, step = normal / uStretch * grain(origin + t * uDirection);
   vec4 finish;
@@ -356,7 +362,7 @@ vec3 cloud(vec3 origin) {
   for (int part = 0; part < count; part++) {
     vec2 ends = part == 0 ? parts.xy : parts.zw;
     float t = ends.x;
-    for (int i = 0; i < 4096 && t < ends.y && left > 0.01; i++) {
+    for (int i = 0; i < 4096 && t < min(ends.y, reached) && left > 0.01; i++) {
       vec3 p = origin + t * uDirection;
       float ahead = uSkip ? blockAhead(p) : -1.0;
       if (ahead > 0.0) {
@@ -375,7 +381,7 @@ vec3 cloud(vec3 origin) {
       t += 0.75;
     }
   }
-  return light + left * uBackground;
+  return light + left * beyond;
 }
 
 #ifdef VEILED
@@ -410,6 +416,14 @@ vec4 veil(vec3 origin) {
 void main() {
   vec2 at = gl_FragCoord.xy - uOrigin;
   vec3 origin = uCorner + (at.x - 0.5 + uJitter.x) * uRight + (uHeight - 0.5 - at.y + uJitter.y) * uDown;
+  beyond = uBackground;
+#ifdef LINES
+  vec4 line = texelFetch(uLineColour, ivec2(gl_FragCoord.xy), 0);
+  if (line.a > 0.5) {
+    reached = texelFetch(uLineDepth, ivec2(gl_FragCoord.xy), 0).r * uLineReach;
+    beyond = toLinear(line.rgb);
+  }
+#endif
   vec3 light = uCloud ? cloud(origin) : solid(origin);
 #ifdef VEILED
   vec4 before = veil(origin);

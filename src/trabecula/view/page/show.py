@@ -19,6 +19,7 @@ from trabecula.view.page.document import Live, Page, document, pack
 from trabecula.view.page.endless import as_endless
 from trabecula.view.page.fitting import FittedVolume, fit_field, fit_volume
 from trabecula.view.page.joining import join_labels
+from trabecula.view.page.lines import pack_lines
 from trabecula.view.page.server import Boxes, Triple
 from trabecula.view.volume import visible_phases
 
@@ -40,6 +41,7 @@ def view(
     look: str = "bone",
     certificate: Any = None,
     fields: Mapping[str, Image | ArrayLike] | None = None,
+    streamlines: Sequence[ArrayLike] | None = None,
     endless: Any = None,
     side: int = 64,
     seed: int = 0,
@@ -63,6 +65,9 @@ def view(
     fields : mapping of name to grey Image or array, (Z, Y, X), optional
         Thickness, velocity, stress, source map: each may colour the labels of its shape, and the
         probe reads it. The first one does at the beginning.
+    streamlines : sequence of (N, 4) arrays, optional
+        Of the first image, labels: what `tb.measure.streamlines` returns. They are drawn among
+        its material, coloured by speed.
     endless : model, optional
         A trained model of method "gan" (`tb.load_model("bone")`), labels by the sub-pixel
         generator: the page makes its material, with another seed, size, place or porosity as one
@@ -108,6 +113,9 @@ def view(
     ):
         volume, text, found = _volume(image, name, scale, rows, tints[k])
         packed |= {f"field-{k}-{j}": each for j, each in enumerate(found)}
+        if streamlines is not None and k == 0:
+            volume["lines"], values = _lines(streamlines, image, volume)
+            packed["lines-0"] = pack(values)
         if scales is None:
             volume["notes"].append(
                 "no common unit: each volume fills its place, they are not to one scale"
@@ -180,6 +188,18 @@ def _check_fields(
                 )
             found[k][_text(name)] = np.nan_to_num(given.values)
     return found
+
+
+def _lines(
+    lines: Sequence[ArrayLike], image: Image | Slabs, volume: dict[str, Any]
+) -> tuple[dict[str, Any], np.ndarray]:
+    """Return the lines of a volume as the page holds them; the facts of the volume name them."""
+    if image.kind != "labels" or image.ndim != 3:
+        raise InputError(f"streamlines are of a volume of labels, the first image is {image.kind}")
+    about, values = pack_lines(lines, image.shape, volume["block"])
+    many, most = len(about["points"]), about["most"]
+    volume["facts"].append(["Streamlines", f"{many}, coloured from rest to {most:.3g} of the mean"])
+    return about, values
 
 
 def _names(names: Sequence[str] | None, count: int) -> list[str]:

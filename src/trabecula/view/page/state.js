@@ -54,6 +54,7 @@ function settings(app) {
         ([azimuth, elevation, zoom, ...pan]) => Object.assign(camera(), { azimuth, elevation, zoom, pan })),
       numbers(`opacity${i}`, sheer().map(() => inRange(0.05, 1)), () => sheer().map((of) => of.opacity),
         (given) => sheer().forEach((of, k) => { of.opacity = given[k]; })),
+      ...(volume.lines ? [flag(`lines${i}`, () => volume.lines.shown, (shown) => { volume.lines.shown = shown; })] : []),
       numbers(`ramp${i}`, [byte, byte, byte, byte], () => [volume.low, volume.high, ...volume.window],
         ([low, high, ...window]) => Object.assign(volume, { low, high, window })),
       numbers(`shown${i}`, phases().map(() => share), () => phases().map((phase) => Number(phase.visible)),

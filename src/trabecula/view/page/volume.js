@@ -31,6 +31,12 @@ async function unpack(element, size) {
   return voxels;
 }
 
+// Points of lines: all x, all y, all z in parts of a voxel, all speeds.
+async function unpackLines(element, { points }) {
+  const count = 4 * points.reduce((sum, many) => sum + many, 0), bytes = new DataView((await unpack(element, 2 * count)).buffer);
+  return Uint16Array.from({ length: count }, (_, k) => bytes.getUint16(2 * k, true));
+}
+
 // Of a byte of labels the last bit says that the voxel is a block which only a thin wall makes drawn (joining.py).
 const LABEL = 127;
 
