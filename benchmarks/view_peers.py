@@ -33,47 +33,7 @@ _PAGE = """window.trabecula.ready.then((app) => {
   frame();
 })""".replace("SIDE", str(STAGE))
 
-_VTK = """<!doctype html><body style="margin:0"><div id="host" style="width:SIDEpx;height:SIDEpx"></div>
-<script src="vtk.js"></script><script>
-const letters = atob("DATA"), packed = Uint8Array.from(letters, (letter) => letter.charCodeAt(0));
-const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
-window.trabeculaPeer = new Response(stream).arrayBuffer().then((buffer) => {
-  const get = (path) => path.split(".").reduce((part, name) => part[name], vtk);
-  const data = get("Common.DataModel.vtkImageData").newInstance();
-  data.setDimensions(N, N, N);
-  data.getPointData().setScalars(get("Common.Core.vtkDataArray").newInstance({ values: new Uint8Array(buffer), numberOfComponents: 1 }));
-  const view = get("Rendering.Core.vtkRenderWindow").newInstance(), renderer = get("Rendering.Core.vtkRenderer").newInstance({ background: [0.95, 0.96, 0.97] });
-  const window3d = get("Rendering.OpenGL.vtkRenderWindow").newInstance();
-  view.addRenderer(renderer);
-  window3d.setContainer(document.getElementById("host"));
-  window3d.setSize(SIDE, SIDE);
-  view.addView(window3d);
-  const hands = get("Rendering.Core.vtkRenderWindowInteractor").newInstance();
-  hands.setView(window3d);
-  hands.initialize();
-  const mapper = get("Rendering.Core.vtkVolumeMapper").newInstance({ sampleDistance: 0.7 }), volume = get("Rendering.Core.vtkVolume").newInstance();
-  mapper.setInputData(data);
-  volume.setMapper(mapper);
-  const colour = get("Rendering.Core.vtkColorTransferFunction").newInstance(), opacity = get("Common.DataModel.vtkPiecewiseFunction").newInstance();
-  colour.addRGBPoint(0, 0.9, 0.85, 0.72); colour.addRGBPoint(1, 0.9, 0.85, 0.72);
-  opacity.addPoint(0.4, 0); opacity.addPoint(0.6, 1);
-  volume.getProperty().setRGBTransferFunction(0, colour);
-  volume.getProperty().setScalarOpacity(0, opacity);
-  volume.getProperty().setInterpolationTypeToLinear();
-  volume.getProperty().setShade(true);
-  renderer.addVolume(volume);
-  renderer.resetCamera();
-  renderer.getActiveCamera().azimuth(32);
-  renderer.getActiveCamera().elevation(26);
-  const gl = window3d.getContext();
-  window.frame = () => {
-    renderer.getActiveCamera().azimuth(0.01);
-    view.render();
-    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
-  };
-  frame();
-});
-</script>"""
+_VTK = Path(__file__).with_name("view_peers_vtk.html")
 
 _K3D = """
 import sys, numpy as np, k3d
@@ -132,7 +92,11 @@ def _vtk_page(values: np.ndarray, folder: Path) -> Path:
     import gzip
 
     data = base64.b64encode(gzip.compress(values.tobytes(), 6)).decode()
-    text = _VTK.replace("SIDE", str(STAGE)).replace("N, N, N", ", ".join([str(len(values))] * 3))
+    text = (
+        _VTK.read_text()
+        .replace("SIDE", str(STAGE))
+        .replace("N, N, N", ", ".join([str(len(values))] * 3))
+    )
     (folder / "vtk.html").write_text(text.replace("DATA", data))
     return folder / "vtk.html"
 

@@ -14,7 +14,9 @@ const array = (name, kind) => {
   const { buffer, byteOffset, length } = fs.readFileSync(`${process.argv[3]}/${name}`);
   return new kind(buffer.slice(byteOffset, byteOffset + length));
 };
-const write = (name, values) => fs.writeFileSync(`${process.argv[3]}/${name}`, Buffer.from(values.buffer));
+const write = (name, values) => {
+  fs.writeFileSync(`${process.argv[3]}/${name}`, Buffer.from(values.buffer));
+};
 """
 
 

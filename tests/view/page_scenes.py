@@ -1,5 +1,6 @@
-"""Small scenes of the page, and their pictures as they should be: `python tests/view/page_scenes.py`
-draws them again into tests/view/golden.
+"""Small scenes of the page, and their pictures as they should be.
+
+`python tests/view/page_scenes.py` draws them again into tests/view/golden.
 """
 
 import base64

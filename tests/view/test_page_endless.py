@@ -3,9 +3,9 @@
 import chromium
 import numpy as np
 import pytest
-from page_scripts import MISSING, find_node, run_scripts
 
 import trabecula as tb
+from page_scripts import MISSING, find_node, run_scripts
 from trabecula.core.errors import InputError
 from trabecula.core.seeds import key
 from trabecula.engine.gaussian_random import normal_cells, quantiles
@@ -51,7 +51,8 @@ def test_latent_numbers_are_pythons_to_the_bit(tmp_path):
         ["philox.js", "convolution.js", "network.js", "maker.js"],
         """
         const cells = new Float32Array(600), key = seedKey(given.seed, "gan/latent");
-        normalCells(cells, 10, [3, 4, 5], key, given.corner, quantileTable([...array("steps", Int16Array)]));
+        const table = quantileTable([...array("steps", Int16Array)]);
+        normalCells(cells, 10, [3, 4, 5], key, given.corner, table);
         write("cells", cells);
         console.log(JSON.stringify(key));
         """,
@@ -73,8 +74,8 @@ def test_specks_and_the_two_point_function_are_pythons(tmp_path):
         ["network.js", "maker.js"],
         """
         const labels = array("labels", Uint8Array);
-        const inside = array("smooth", Uint8Array), two = radialTwoPoint(inside, 20, (label) => label > 0, 8);
-        write("two", Float64Array.from(two));
+        const smooth = array("smooth", Uint8Array), inside = (label) => label > 0;
+        write("two", Float64Array.from(radialTwoPoint(smooth, 20, inside, 8)));
         clearSpecks(labels, 20, 2);
         write("cleared", labels);
         console.log(1);

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from page_scripts import MISSING, find_node, run_scripts
 
 import trabecula as tb
+from page_scripts import MISSING, find_node, run_scripts
 from trabecula.view.page.endless import as_endless
 
 pytest.importorskip("torch")

@@ -205,4 +205,3 @@ def _mean_speed(along_z, along_y, along_x, active):
                     total += np.sqrt(vz * vz + vy * vy + vx * vx)
                     count += 1
     return total / count
-

@@ -69,7 +69,6 @@ class Drawing {
     gl.texStorage3D(gl.TEXTURE_3D, Math.min(levels, most), inside, width, height, depth);
     for (let z = 0; z < depth; z++) {
       gl.texSubImage3D(gl.TEXTURE_3D, 0, 0, 0, z, width, height, 1, outside, gl.UNSIGNED_BYTE, fill(z));
-      if (z % 16 === 15) gl.finish();   // or what waits to be copied piles up
     }
     for (const wrap of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) {
       gl.texParameteri(gl.TEXTURE_3D, wrap, gl.CLAMP_TO_EDGE);
