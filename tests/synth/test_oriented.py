@@ -197,7 +197,8 @@ def test_round_bubbles_have_no_direction():
 
 @pytest.mark.whole
 def test_a_method_without_it_refuses_by_name():
-    model = tb.method("quilt", patch=8).fit(tb.crop(tb.sample("bone"), 32))
+    picture = tb.Image(tb.sample("bone").values[16, :32, :32], "labels")
+    model = tb.method("kopf", levels=1).fit(picture)
     with pytest.raises(RequestError, match="cannot honour the target orientation, size"):
         model.generate(24, target={"orientation": (0, 0, 1), "size": 2.0})
 
