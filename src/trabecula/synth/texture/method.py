@@ -256,7 +256,7 @@ class TextureModel(Model):
             )
             for index in range(self.top + 1)
         ]
-        self.slices = novel_layout.slices_for(self._own[self.top])
+        self.slices = novel_layout.slices_for(self._own[self.top], self.config.layout)
         assert isinstance(self.content, Labels)  # novelty is for labels
         counted = self.content.present if self.config.layout == "structure" else ()
         self.small = {label: learn_small_bodies(self.exemplars, label) for label in counted}
@@ -382,7 +382,6 @@ class TextureModel(Model):
             self.top,
             self.config.layout,
             beside=request.fixed is not None,
-            short=self.config.short,
         )
         aims, slices = self.aims, self.slices
         if request.target:
@@ -410,7 +409,7 @@ class TextureModel(Model):
         ]
         coarsest = self._own[self.top]
         weights = [1 + t * g for g in density_weights(coarsest, self._window(self.top))]
-        return aims, novel_layout.slices_for(coarsest, weights)
+        return aims, novel_layout.slices_for(coarsest, self.config.layout, weights)
 
     @cached_property
     def _slopes(self) -> list[DensitySlopes]:
