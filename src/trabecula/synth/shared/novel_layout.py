@@ -394,8 +394,11 @@ class NovelRounds(CoarseToFine[Any]):
 
     @property
     def names(self) -> list[str]:
-        """List the names of the layout and of the passes."""
-        return ["novel layout", *(f"novel pass {number}" for number in range(len(self.schedule)))]
+        """List the names of layout and passes: others than when there were two schedules,
+        so that unfinished runs of then begin anew.
+        """
+        kind = "new" if self.config.layout == "structure" else "novel"
+        return [f"{kind} layout", *(f"{kind} pass {n}" for n in range(len(self.schedule)))]
 
     @property
     def costs(self) -> list[float]:

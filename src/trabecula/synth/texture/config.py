@@ -215,7 +215,7 @@ class TextureConfig:
 
 
 _NOVELTY = 1.0
-_DROPPED = ("schedule",)  # of recipes of before: there is one schedule now
+_DROPPED = ("schedule",)  # of recipes of before, when there were two
 
 _ALTERNATIVES: tuple[dict[str, Any], ...] = (
     {"novelty": 0.5},
