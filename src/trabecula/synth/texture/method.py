@@ -358,10 +358,20 @@ class TextureModel(Model):
         alone = len(self.exemplars) == 1 and isinstance(self.content, Labels)
         return alone and not request.asks_for() - {"periodic"}
 
+    def _figure_stages(self, request: Request) -> tuple[Stage, ...]:
+        """Declare the comparison of a result with the exemplar."""
+        if not self._compares(request):
+            return ()
+        return figure_stages(request.shape, self.exemplars[0].shape, box=self._figure_box)
+
     @cached_property
     def _own_figures(self) -> OwnFigures | None:
         """Measure the exemplar and its parts."""
-        return OwnFigures.of(self.exemplars[0], box=BOX if self.top else SMALL_BOX)
+        return OwnFigures.of(self.exemplars[0], box=self._figure_box)
+
+    @property
+    def _figure_box(self) -> int:
+        return BOX if self.top else SMALL_BOX
 
     def _make(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
         """Return the values of a request and a report, without its figures."""
@@ -602,7 +612,7 @@ class TextureModel(Model):
                 nbytes=self.output_bytes(request),
                 distances=isinstance(self.content, Labels),
             ),
-            *(figure_stages(request.shape, self.facts[0].shape) if self._compares(request) else ()),
+            *self._figure_stages(request),
         )
 
     def _fixed(self) -> dict[str, int]:

@@ -66,7 +66,7 @@ class OwnFigures:
     names : mapping of str to str
         Phases that all parts hold beside others, and what is added to the names of their figures.
     box : int
-        Side of the box of results, at most.
+        Side of the centres of exemplar and results, at most.
     own, spreads : mapping of str to float
         Figures, and the share of it by which each differs between the parts.
     curves : mapping of str to array
@@ -87,7 +87,7 @@ class OwnFigures:
         """Measure an exemplar of labels; None where it is too small."""
         if min(exemplar.shape) < _LEAST:
             return None
-        middle = _middle(exemplar, BOX)
+        middle = _middle(exemplar, box)
         parts = [_part(middle, corner) for corner in product((0, 1), repeat=3)]
         names = _names(exemplar, parts)
         reach = min(_REACH, min(middle.shape) // 4)
@@ -135,11 +135,11 @@ def off_line(figures: Mapping[str, Figure]) -> str:
     return "; ".join(figures[name].describe(name) for name in names)
 
 
-def figure_stages(shape: Sequence[int], exemplar: Sequence[int]) -> tuple[Stage, ...]:
+def figure_stages(shape: Sequence[int], exemplar: Sequence[int], *, box: int) -> tuple[Stage, ...]:
     """Declare the comparison of a result with its exemplar, the exemplar's own figures among it."""
     if min(*shape, *exemplar) < _LEAST:
         return ()
-    most = max(math.prod(min(side, BOX) for side in sides) for sides in (shape, exemplar))
+    most = max(math.prod(min(side, box) for side in sides) for sides in (shape, exemplar))
     return (Stage("compare", {"result": Array(shape, np.uint8)}, _BYTES * most),)
 
 
