@@ -153,7 +153,7 @@ def _move_target(
     change = picture.two_point[:, : reach + 1] - own.two_point[:, : reach + 1]
     change -= change[:, :1] * np.ones(reach + 1)  # the fractions differ by a voxel at most
     change[:, reach] = 0
-    distances = np.arange(target.r_max + 1) * target.blocks * 2**level
+    distances = np.arange(target.r_max + 1) * 2**level * target.blocks
     share = np.minimum(1, distances / np.mean(picture.lengths))
     along = [share * np.interp(distances, np.arange(reach + 1), line, right=0.0) for line in change]
     rows = [
