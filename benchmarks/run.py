@@ -22,6 +22,7 @@ import bubbles
 import bubbles_figures
 import bubbles_fit
 import by_example
+import conduction
 import drainage
 import ensemble_rates
 import ensembles
@@ -158,6 +159,7 @@ CASES: dict[str, Callable[[], None]] = {
     "surfaces": printing.surfaces,
     "layers": printing.layers,
     "intervals": intervals.intervals,
+    "conduction": conduction.conduction,
     "drainage": drainage.drainage,
     "drainage_tubes": drainage.drainage_tubes,
     "networks": networks.networks,
