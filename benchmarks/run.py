@@ -57,6 +57,7 @@ import texture_speed
 import trabecula as tb
 import trends
 import view
+import view_peers
 import zoo
 from common import tell, timed, unit
 from descriptors import certificate, descriptors, large
@@ -153,6 +154,7 @@ CASES: dict[str, Callable[[], None]] = {
     "view_still": view.view_still,
     "view_page": view.view_page,
     "view_large": view.view_large,
+    "view_peers": view_peers.view_peers,
     "stills": stills.stills,
     "stills_noise": stills.stills_noise,
     "photographs": photographs.photographs,

@@ -75,6 +75,7 @@ from trabecula.measure.transport import (
     conductivity,
     diffusivity,
     permeability,
+    streamlines,
     tortuosity,
 )
 from trabecula.measure.triple_lines import (
@@ -167,6 +168,7 @@ __all__ = [
     "sources",
     "specific_surface",
     "stiffness",
+    "streamlines",
     "structure_model_index",
     "structure_tensor",
     "ten_bins",

@@ -145,6 +145,24 @@ def _section_flows(
     """Solve for the flow through every section of the first axis, pressure drop and viscosity 1;
     return also the steps, and whether they converged.
     """
+    flow, x, steps, converged = solve_flow(active, edges, tolerance=tolerance)
+    return flow.section_flows(x), steps, converged
+
+
+def solve_flow(
+    active: np.ndarray, edges: np.ndarray, *, tolerance: float
+) -> tuple[MarkerGrid, np.ndarray, int, bool]:
+    """Solve for velocity and pressure in the active voxels: the grid, its vector, the steps, and
+    whether they converged.
+
+    Parameters
+    ----------
+    active : (Z, Y, X) bool
+        Voxels that percolate along z, not all of them.
+    edges : (3,) float
+        In units of the smallest.
+    tolerance : float
+    """
     flow = MarkerGrid.of(active, edges)
     precondition = SimplePreconditioner(flow)
     kind = np.float32 if tolerance >= _SINGLE else np.float64
@@ -177,4 +195,4 @@ def _section_flows(
     steps, converged = conjugate_residuals(
         flow.multiply, residual, x, precondition, accept=accept, most=_MOST_STEPS, keep=1
     )
-    return flow.section_flows(x), steps, converged
+    return flow, x, steps, converged
