@@ -46,7 +46,7 @@ def gentle(side: int = 80, *, frames: bool = False) -> tb.Image:
     gradients so slow that neighbouring windows of equal density fit.
 
     In step with a place there are 343 windows alone, so that density and gradient of each matter;
-    these waves were chosen among fourteen by the cantilever.
+    these waves were chosen among about a dozen by the cantilever.
     """
     z, y, x = np.indices((side,) * 3, np.float32) / (side - 1)
     wave = np.cos(1.6 * np.pi * (z + 0.2 * y)) * np.cos(1.2 * np.pi * (x - 0.1 * y))
