@@ -60,6 +60,17 @@ SAMPLES = {
             25.0,
             "um",
         ),
+        Sample(
+            "cells",
+            "stand-in for a closed-cell foam or for grains: walls between all cells",
+            9.0,
+            1.0,
+            0.7,
+            1.0,
+            0.45,
+            10.0,
+            "um",
+        ),
     )
 }
 
