@@ -32,6 +32,7 @@ NECK = 0.75
 """Width of a gap over that of the narrower of two cells beside it, from which they are one cell."""
 
 _STEP = 1.0  # pixels by which a pass lies lower than a peak, at least: less is the grid's
+_FILLED = 0.3  # of the picture, that cells fill at least where no phase is named
 _SPECK = 3  # pixels; smaller parts of the interior are noise of a boundary
 
 
@@ -88,12 +89,13 @@ class PlaneCells:
         """Return the standard deviation over cells of values (N,)."""
         return float(np.sqrt(max(0.0, self.mean(values**2) - self.mean(values) ** 2)))
 
-    def quantiles(self, values: np.ndarray, shares: ArrayLike) -> np.ndarray:
+    def quantiles(self, values: np.ndarray, shares: np.ndarray) -> np.ndarray:
         """Return the values (N,) below which these shares of the cells lie."""
         order = np.argsort(values, kind="stable")
         weight = np.cumsum(self.weights[order]) - self.weights[order] / 2
         kept = self.weights[order] > 0
-        return np.interp(shares, weight[kept] / self.weights.sum(), values[order][kept])
+        found = np.interp(shares, weight[kept] / self.weights.sum(), values[order][kept])
+        return np.asarray(found)
 
 
 def plane_cells(
@@ -133,7 +135,7 @@ def plane_cells(
     if image.ndim != 2:
         raise InputError(f"cells are those of a picture, got {image.shape}: take a slice")
     share = as_number(neck, name="neck", low=0.05, high=1)
-    phase = boundary_phase(image) if boundary is None else phase_index(image, boundary, default=0)
+    phase = boundary_phase(image) if boundary is None else phase_index(image, boundary, default="")
     interior = image.values != phase
     if interior.all() or not interior.any():
         raise InputError(
@@ -169,7 +171,7 @@ def _whole(labels: np.ndarray) -> int:
     area[0] = 0
     area[np.unique(cut)] = 0
     # Islands of a material are no cells of it: cells fill what is left between the boundaries.
-    if area.sum() < 0.1 * labels.size:
+    if area.sum() < _FILLED * labels.size:
         return 0
     return int(np.count_nonzero(area))
 

@@ -1,13 +1,13 @@
 """Cells in the slices of a volume, beside the cells of its picture: sizes, neighbours, points where
 three meet, and the length of the lines between them.
 
-Only a picture of closed boundaries is judged by: most of the lines between its cells lie in the
-phase of the boundaries. Bands are those of the parts of the picture, as of other figures.
+Only a picture of closed boundaries is judged by: they fill at most half of it, and hold most of the
+lines between its cells. Bands are those of the parts of the picture, as of other figures.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from trabecula.report.metrics import Metric
 from trabecula.report.planes import take_slices
 from trabecula.report.reference import Reference
 
-CLOSED = 0.8
+CLOSED = 0.9
 """Share of the lines between cells that lie in the phase of the boundaries, at least."""
 
 _LEAST = 12  # cells that the edge does not cut
@@ -46,12 +46,14 @@ def judge_cells(
     if own is None or own.inside.sum() < _LEAST:
         return {}
     boundary = boundary_phase(picture)
-    if _closed(own, picture.values == boundary) < CLOSED:
+    walls = picture.values == boundary
+    if walls.mean() > 0.5 or _closed(own, walls) < CLOSED:
         return {}
-    known = _figures(parts(picture), boundary)
-    slices = _figures(
-        (each for plane in planes for each in take_slices(image, plane)), boundary
-    )
+    cuts = [each for plane in planes for each in take_slices(image, plane)]
+    # in small windows cells at the edge count for more, so the parts are as small as the slices
+    shape = [min(cut.shape[n] for cut in cuts) for n in range(2)]
+    known = _figures(parts(picture, shape=shape), boundary)
+    slices = _figures(cuts, boundary)
     found = {}
     for name, value in _numbers(own).items():
         spread = [numbers[name] for numbers in known]
@@ -72,7 +74,7 @@ def _cells_of(picture: Image, boundary: int | None = None) -> PlaneCells | None:
         return None
 
 
-def _figures(pictures: Iterator[Image], boundary: int) -> list[dict[str, float]]:
+def _figures(pictures: Iterable[Image], boundary: int) -> list[dict[str, float]]:
     """Return the figures of the pictures that hold cells."""
     found = (_cells_of(picture, boundary) for picture in pictures)
     return [_numbers(cells) for cells in found if cells is not None]

@@ -26,6 +26,7 @@ _DAMPING = 0.8
 _BETWEEN = 2  # corrections of the volumes after a move of the seeds
 _MOST = 60  # corrections after the last move
 _NEAR = 0.02  # root mean square of the volumes' errors, over the mean, that ends them
+_TAIL = 2.0  # grains that grow are of bounded size: farther tails make a few giants
 _STAGE = "tessellation"
 
 
@@ -48,7 +49,7 @@ def grow_grains(
     density : float
         Cells per voxel.
     spread : float
-        Standard deviation of the logarithm of volumes.
+        Standard deviation of the logarithm of volumes, before its tails are cut off at two of it.
     lloyd_steps : int
         Moves of the seeds.
     points : float
@@ -60,10 +61,10 @@ def grow_grains(
     error : float
         Root mean square of the volumes' errors over the mean volume.
     """
-    torus = np.asarray(sides, np.float64)
+    torus: np.ndarray = np.asarray(sides, np.float64)
     count = max(1, round(float(np.prod(torus)) * density))
     random = generator(seed, _STAGE)
-    places = random.random((count, 3)) * torus
+    places: np.ndarray = random.random((count, 3)) * torus
     volumes = np.exp(spread * _even_normal(count))[random.permutation(count)]
     volumes *= np.prod(torus) / volumes.sum()
     mean = float(volumes.mean())
@@ -72,8 +73,8 @@ def grow_grains(
     diagram = Diagram(places, weights - weights.max(), torus)
     voxel = float(np.prod(torus)) / float(np.prod(counts))
     step = 1 / (_DERIVATIVE * np.cbrt(volumes))
-    pace = np.full(count, _DAMPING)
-    before = np.zeros(count)
+    pace: np.ndarray = np.full(count, _DAMPING)
+    before: np.ndarray = np.zeros(count)
     moves = lloyd_steps * (_BETWEEN + 1)
     error = 0.0
     for turn in range(moves + _MOST):
@@ -83,13 +84,13 @@ def grow_grains(
         places, weights = diagram.seeds, diagram.weights
         if turn < moves and turn % (_BETWEEN + 1) == _BETWEEN:
             shift = moments[:, 1:] / (np.maximum(moments[:, :1], 1) * FINE)
-            places = np.mod(places + shift, torus)
+            places = np.asarray(np.mod(places + shift, torus))
         elif turn >= moves and error < _NEAR:
             break
         else:
             # the derivative is larger where seeds are near each other: whose error changes sign
             # goes on in smaller steps
-            pace = np.clip(np.where(off * before < 0, 0.5, 1.2) * pace, 0.02, 1.5)
+            pace = np.asarray(np.clip(np.where(off * before < 0, 0.5, 1.2) * pace, 0.02, 1.5))
             weights = weights + pace * step * off
             before = off
         diagram = Diagram(places, weights - weights.max(), torus)
@@ -97,6 +98,10 @@ def grow_grains(
 
 
 def _even_normal(count: int) -> np.ndarray:
-    """Return the middles of `count` equal shares of a normal distribution, rising."""
+    """Return the middles of `count` equal shares of a normal distribution within `_TAIL` standard
+    deviations, rising.
+    """
     normal = NormalDist()
-    return np.array([normal.inv_cdf((n + 0.5) / count) for n in range(count)])
+    least = normal.cdf(-_TAIL)
+    shares = least + (1 - 2 * least) * (np.arange(count) + 0.5) / count
+    return np.array([normal.inv_cdf(share) for share in shares])

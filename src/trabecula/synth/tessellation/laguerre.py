@@ -269,7 +269,7 @@ def _half_diagonal(sides, counts):
 
 @kernel
 def count_candidates(number, counts, sites, start, stop):
-    """Write the number of candidates of the blocks of layers start..stop into `number` (blocks,)."""
+    """Write the number of candidates of every block of layers start..stop: `number` (blocks,)."""
     kept = np.empty(len(sites.order), np.int64)
     around = np.empty(len(sites.order), np.int64)
     half, top = _half_diagonal(sites.sides, counts), sites.weights.max()

@@ -18,7 +18,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.seeds import generator
-from trabecula.exemplar.views import View
+from trabecula.exemplar.views import View, views_of
 from trabecula.measure.plane_cells import boundary_phase
 from trabecula.synth.api.model import ModelState, as_request
 from trabecula.synth.shared.pictures import PictureMethod, PictureModel
@@ -72,8 +72,6 @@ class Tessellation(PictureMethod):
 
     def from_state(self, exemplars: Sequence[Image], state: ModelState) -> TessellationModel:
         """Build the model of what was learned, as `TessellationModel.state` gives it."""
-        from trabecula.exemplar.views import views_of
-
         views = views_of(exemplars, self.config.views)
         plain = dict(state.plain)
         shape = Shape(**plain.pop("shape"))
@@ -107,7 +105,9 @@ class TessellationModel(PictureModel):
         """Return what was learned of the cells."""
         return ModelState(plain=asdict(self.learned))
 
-    def grains(self, shape: Request | int | Sequence[int], *, seed: int | None = None) -> np.ndarray:
+    def grains(
+        self, shape: Request | int | Sequence[int], *, seed: int | None = None
+    ) -> np.ndarray:
         """Return the grain of every voxel of the result of the same request to `generate`.
 
         Returns
@@ -135,7 +135,7 @@ class TessellationModel(PictureModel):
         if request.mask is not None:
             values[~request.mask] = self.facts[0].empty_label
         report = {
-            "cells": int(len(np.unique(owner))),
+            "cells": len(np.unique(owner)),
             "volume_error": error,
             "sections_difference": shape.difference,
         }
@@ -197,7 +197,7 @@ class TessellationModel(PictureModel):
         }
 
 
-def _points(sides: Sequence[float], edge: float) -> list[int]:
+def _points(sides: Sequence[float] | np.ndarray, edge: float) -> list[int]:
     return [max(1, ceil(side / edge * POINTS)) for side in sides]
 
 
@@ -214,10 +214,8 @@ def _learned(config: TessellationConfig, views: Sequence[View]) -> Learned:
             f"boundary={config.boundary!r} is no phase of the picture: it has "
             f"{', '.join(first.phases)}"
         )
-    counts = sum(
-        np.bincount(image.values.ravel(), minlength=len(first.phases))
-        for image in pictures.values()
-    )
+    values = np.concatenate([image.values.ravel() for image in pictures.values()])
+    counts = np.bincount(values, minlength=len(first.phases))
     interiors = [label for label in np.flatnonzero(counts) if label != boundary]
     stretch = _stretch(views, boundary)
     marks = [
@@ -233,9 +231,7 @@ def _learned(config: TessellationConfig, views: Sequence[View]) -> Learned:
         rounding=config.rounding,
     )
     inner = counts[interiors] / counts[interiors].sum()
-    return Learned(
-        boundary, tuple(map(int, interiors)), tuple(map(float, inner)), stretch, shape
-    )
+    return Learned(boundary, tuple(map(int, interiors)), tuple(map(float, inner)), stretch, shape)
 
 
 def _stretch(views: Sequence[View], boundary: int) -> tuple[float, float, float]:

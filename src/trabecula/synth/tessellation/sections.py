@@ -72,7 +72,9 @@ class SectionFigures:
     def mean(cls, found: Sequence[SectionFigures]) -> SectionFigures:
         """Return the mean of several sections."""
         names = ("density", "sizes", "aspect", "neighbours", "walls", "thick")
-        return cls(*(np.mean([getattr(one, name) for one in found], axis=0) for name in names))
+        means = {name: np.mean([getattr(one, name) for one in found], axis=0) for name in names}
+        sizes = means.pop("sizes")
+        return cls(sizes=sizes, **{name: float(value) for name, value in means.items()})
 
     def difference(self, other: SectionFigures) -> float:
         """Return how far the cells of two sections are apart: mean difference of the deciles of
@@ -112,7 +114,8 @@ def shape_of(
 ) -> Shape:
     """Return the settings whose sections are most like the picture; those that are given stay.
 
-    `width` is the shorter side of the picture, pixels. Spread and steps are searched in turns along `SPREADS` and `STEPS`, then the rounding.
+    `width` is the shorter side of the picture, pixels. Spread and steps are searched in turns along
+    `SPREADS` and `STEPS`, then the rounding.
     """
     density = (picture.density / _PER_SECTION) ** 1.5
     trial = _Trial(picture, width, neck, density)
@@ -125,13 +128,13 @@ def shape_of(
     )
     for _ in range(2):
         if spread is None:
-            values = min(SPREADS, key=lambda one: trial.off(replace(found, spread=one)))
-            found = replace(found, spread=values)
+            nearest = min(SPREADS, key=lambda one: trial.off(replace(found, spread=one)))
+            found = replace(found, spread=nearest)
         if lloyd_steps is None:
             steps = min(STEPS, key=lambda one: trial.off(replace(found, lloyd_steps=one)))
             found = replace(found, lloyd_steps=steps)
     if rounding is None:
-        radius = min(ROUNDINGS, key=lambda one: trial.thickness_off(replace(found, rounding=one)))
+        radius = min(ROUNDINGS, key=lambda one: trial.corners_off(replace(found, rounding=one)))
         found = replace(found, rounding=radius)
     made = trial.figures(found)
     scale = (picture.density / made.density) ** 1.5
@@ -141,20 +144,23 @@ def shape_of(
 class _Trial:
     """Small tessellations, cut and measured; each is made once."""
 
-    def __init__(
-        self, picture: SectionFigures, width: float, neck: float, density: float
-    ) -> None:
+    def __init__(self, picture: SectionFigures, width: float, neck: float, density: float) -> None:
         self.picture, self.width, self.neck, self.density = picture, width, neck, density
         self._grown: dict[tuple[float, int], Diagram] = {}
         self._seen: dict[tuple[float, int, float], SectionFigures] = {}
 
     def off(self, shape: Shape) -> float:
+        """Return how far the cells of sections are from the picture's."""
         return self.picture.difference(self.figures(shape))
 
-    def thickness_off(self, shape: Shape) -> float:
-        return abs(self.picture.thick - self.figures(shape).thick)
+    def corners_off(self, shape: Shape) -> float:
+        """Return how far the corners of boundaries are off; sharp ones are taken unless round ones
+        are nearer by more than sections scatter.
+        """
+        return abs(self.picture.thick - self.figures(shape).thick) + 0.1 * shape.rounding
 
     def figures(self, shape: Shape) -> SectionFigures:
+        """Return the figures of sections of a trial."""
         key = (shape.spread, shape.lloyd_steps, shape.rounding)
         if key not in self._seen:
             self._seen[key] = self._measure(shape)
