@@ -10,7 +10,7 @@ from trabecula.core.errors import InputError, RequestError
 from trabecula.measure.plane_cells import plane_cells
 from trabecula.report.cell_sections import judge_cells
 from trabecula.synth.tessellation.grains import grow_grains
-from trabecula.synth.tessellation.laguerre import Diagram, Grid
+from trabecula.synth.tessellation.laguerre import Diagram, PointGrid
 from trabecula.synth.tessellation.sections import SectionFigures, Shape, draw_boundaries
 
 FAST = {"volume_spread": 0.3, "lloyd_steps": 2, "rounding": 0.0}
@@ -63,7 +63,7 @@ def test_corners_are_rounded_by_the_radius():
     # four columns: their faces are the planes y = 0, 8 and x = 0, 8
     seeds = np.array([[2.0, y, x] for y in (4.0, 12.0) for x in (4.0, 12.0)])
     diagram = Diagram(seeds, np.zeros(4), np.array([4.0, 16.0, 16.0]))
-    at = Grid(np.array([2.0]), np.array([7.0, 4.0]), np.array([7.0, 4.0]))
+    at = PointGrid(np.array([2.0]), np.array([7.0, 4.0]), np.array([7.0, 4.0]))
     touching = diagram.neighbours((8, 32, 32))
     sharp = diagram.face_distance(at, diagram.cells(at), touching, 0.0)[0]
     assert sharp.tolist() == [[1.0, 1.0], [1.0, 4.0]]

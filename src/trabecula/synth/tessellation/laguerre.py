@@ -35,7 +35,7 @@ _BLOCKS = 2  # along the edge of a cube that holds one seed
 _HALF = [shift for shift in product((-1, 0, 1), repeat=3) if shift > (0, 0, 0)]
 
 
-class Sites(NamedTuple):
+class SeedBins(NamedTuple):
     """Seeds in bins, for kernels; N seeds, lengths in voxels."""
 
     places: np.ndarray
@@ -63,7 +63,7 @@ class Blocks(NamedTuple):
     """(candidates,) int32."""
 
 
-class Grid(NamedTuple):
+class PointGrid(NamedTuple):
     """Points of a grid: their coordinates along z, y, x, float64, voxels."""
 
     z: np.ndarray
@@ -83,14 +83,14 @@ class Diagram:
     """(3,) float64."""
 
     @cached_property
-    def sites(self) -> Sites:
+    def sites(self) -> SeedBins:
         """Return the seeds in bins of about one seed each."""
         counts = self._cut(1)
         place = np.minimum((self.seeds / self.sides * counts).astype(np.int64), counts - 1)
         flat = (place[:, 0] * counts[1] + place[:, 1]) * counts[2] + place[:, 2]
         order = np.argsort(flat, kind="stable").astype(np.int64)
         starts = np.searchsorted(flat[order], np.arange(np.prod(counts) + 1)).astype(np.int64)
-        return Sites(self.seeds, self.weights, self.sides, counts, starts, order)
+        return SeedBins(self.seeds, self.weights, self.sides, counts, starts, order)
 
     @cached_property
     def blocks(self) -> Blocks:
@@ -113,12 +113,12 @@ class Diagram:
         edge = np.cbrt(np.prod(self.sides) / len(self.seeds)) / parts
         return np.maximum(1, np.round(self.sides / edge)).astype(np.int64)
 
-    def points(self, counts: Sequence[int]) -> Grid:
+    def points(self, counts: Sequence[int]) -> PointGrid:
         """Return a grid of so many points along z, y, x that covers the torus evenly."""
         pairs = zip(counts, self.sides, strict=True)
-        return Grid(*((np.arange(n) + 0.5) * (side / n) for n, side in pairs))
+        return PointGrid(*((np.arange(n) + 0.5) * (side / n) for n, side in pairs))
 
-    def cells(self, grid: Grid) -> np.ndarray:
+    def cells(self, grid: PointGrid) -> np.ndarray:
         """Return the cell, from 0, of every point of a grid, (Z, Y, X) int32."""
         owner = np.empty([len(axis) for axis in grid], np.int32)
         sites, blocks = self.sites, self.blocks
@@ -143,13 +143,13 @@ class Diagram:
         return np.searchsorted(first, np.arange(count + 1)), second.astype(np.int32)
 
     def face_distance(
-        self, grid: Grid, owner: np.ndarray, touching: tuple[np.ndarray, np.ndarray], radius: float
+        self, grid: PointGrid, owner: np.ndarray, touching: tuple[np.ndarray, np.ndarray], radius: float
     ) -> np.ndarray:
         """Return the distance of every point of a grid to the faces of its cell, (Z, Y, X) float32.
 
         Parameters
         ----------
-        grid : Grid
+        grid : PointGrid
         owner : int32 array, (Z, Y, X)
             As from `cells`.
         touching : tuple of arrays

@@ -25,7 +25,7 @@ from trabecula.synth.shared.pictures import PictureMethod, PictureModel
 from trabecula.synth.tessellation import CAPABILITIES
 from trabecula.synth.tessellation.config import TessellationConfig
 from trabecula.synth.tessellation.grains import POINTS, grow_grains
-from trabecula.synth.tessellation.laguerre import Diagram, Grid
+from trabecula.synth.tessellation.laguerre import Diagram, PointGrid
 from trabecula.synth.tessellation.sections import (
     SectionFigures,
     Shape,
@@ -160,9 +160,9 @@ class TessellationModel(PictureModel):
         sides = zip(request.shape, self.learned.stretch, request.periodic, strict=True)
         return tuple(side / long + (0.0 if wraps else room) for side, long, wraps in sides)
 
-    def _grid(self, request: Request) -> Grid:
+    def _grid(self, request: Request) -> PointGrid:
         sides = zip(request.shape, self.learned.stretch, strict=True)
-        return Grid(*((np.arange(side) + 0.5) / long for side, long in sides))
+        return PointGrid(*((np.arange(side) + 0.5) / long for side, long in sides))
 
     def _phases(self, request: Request, diagram: Diagram) -> np.ndarray:
         """Return the phase of every cell, (N,) uint8: in random order, each the phase that is

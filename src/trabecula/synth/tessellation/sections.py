@@ -19,7 +19,7 @@ from trabecula.core.image import Image
 from trabecula.measure.distance import distance_transform
 from trabecula.measure.plane_cells import plane_cells
 from trabecula.synth.tessellation.grains import grow_grains
-from trabecula.synth.tessellation.laguerre import Diagram, Grid
+from trabecula.synth.tessellation.laguerre import Diagram, PointGrid
 
 SPREADS = (0.0, 0.25, 0.5, 0.75, 1.0)
 STEPS = (0, 1, 3, 8)
@@ -175,7 +175,7 @@ class _Trial:
         touching = diagram.neighbours([round(side / edge * _POINTS)] * 3)
         found = []
         for axis in range(3):
-            grid = Grid(*(cuts if axis == each else line for each in range(3)))
+            grid = PointGrid(*(cuts if axis == each else line for each in range(3)))
             owner = diagram.cells(grid)
             depth = diagram.face_distance(grid, owner, touching, shape.rounding * edge)
             walls = draw_boundaries(owner, depth, self.picture.walls, across=axis)
