@@ -36,9 +36,13 @@ from trabecula.synth.tessellation.sections import (
 _LEAST = 12  # pixels of a picture along every side, less the room that neighbourhoods need
 _MARGIN = 1.5  # edges of a cell by which the torus is larger than an axis that does not repeat
 _PROCESS = 220 << 20
-_VOXEL = 26  # bytes: cell, distance, its copies while boundaries are drawn
-_POINT = 40  # bytes of a point of the grid on which cells grow
-_SEED = 2400  # bytes of a seed with the candidates of its blocks and the cells that touch it
+_VOXEL = 16.2  # bytes: cell, distance, its copy while boundaries are drawn, values
+_MASKED = 6  # bytes a voxel more with a mask
+_POINT = 24  # bytes of a point of the grid on which cells grow, while neighbours are found
+_SEED = 1300  # bytes of a seed with the candidates of its blocks and the cells that touch it
+_PIXEL = 72  # bytes of a pixel of a picture while its cells are found
+_TRIAL, _SECTION = 840 << 10, 64  # bytes of a small tessellation, and of a pixel of its sections
+_WIDEST = 200  # pixels of a section
 
 
 @dataclass(frozen=True)
@@ -80,9 +84,11 @@ class Tessellation(PictureMethod):
         return TessellationModel(self.config, exemplars, views, Learned(**plain, shape=shape))
 
     def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
-        """Forecast the pictures' cells and the sections of trials."""
-        pixels = sum(prod(image.shape) for image in exemplars)
-        return {"interpreter and kernels": _PROCESS, "cells": 120 * pixels, "trials": 24 << 20}
+        """Forecast the cells of the largest picture, or a trial with its sections."""
+        cells = _PIXEL * max(prod(image.shape) for image in exemplars)
+        width = min(_WIDEST, *(min(image.shape) for image in exemplars))
+        trial = _TRIAL + _SECTION * width**2
+        return {"interpreter and kernels": _PROCESS, "cells or trials": max(cells, trial)}
 
 
 class TessellationModel(PictureModel):
@@ -188,12 +194,15 @@ class TessellationModel(PictureModel):
         sides = self._torus(request)
         edge = self.learned.shape.density ** (-1 / 3)
         seeds = max(1.0, prod(sides) * self.learned.shape.density)
+        voxel = _VOXEL + (0 if request.mask is None else _MASKED)
+        drawing = int(voxel * prod(request.shape) + _SEED * seeds)
+        growth = _POINT * prod(_points(sides, edge))
+        output = self.output_bytes(request)
         return {
             "interpreter and kernels": _PROCESS,
             "exemplar": sum(image.values.nbytes for image in self.exemplars),
-            "output": self.output_bytes(request),
-            "cells and distances": _VOXEL * prod(request.shape),
-            "growth": _POINT * prod(_points(sides, edge)) + int(_SEED * seeds),
+            "output": output,
+            "cells and distances": max(drawing, growth) - output,
         }
 
 
