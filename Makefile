@@ -22,7 +22,7 @@ test-all: $(VENV)/dev.stamp         ## every test of the base install but the sl
 	$(PYTEST) -m "not slow"
 	$(MAKE) --no-print-directory --jobs 2 test-newest test-extras
 
-test-slow: $(VENV)/dev.stamp        ## tests that take many seconds beside others like them: weekly, and before a release
+test-slow: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## tests that take many seconds beside others like them: weekly, and before a release
 	$(PYTEST) -m slow
 
 test-soak: $(VENV)/dev.stamp        ## ten runs of every test in random order beside full load; hours
@@ -38,7 +38,7 @@ test-extras:                        ## one after the other: they install into th
 	$(MAKE) --no-print-directory test-remote
 
 test-learn: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## the tests that need PyTorch, which `make test` skips where it is not installed
-	$(PYTEST) tests/synth/gan tests/contract -k gan
+	$(PYTEST) -m "not slow" tests/synth/gan tests/contract -k gan
 
 test-types: $(VENV)/dev.stamp $(VENV)/types.stamp   ## mypy and Pyright over a user's script
 	$(BIN)/python -m pytest tests/types

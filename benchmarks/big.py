@@ -56,7 +56,6 @@ def side_of() -> int:
 
 def command(*words: object) -> Ran:
     """Run `trabecula ... --json` as a process."""
-    start = time.perf_counter()
     program = [
         sys.executable,
         "-m",
@@ -66,13 +65,19 @@ def command(*words: object) -> Ran:
         "1",
         "--json",
     ]
+    return spend(program)
+
+
+def spend(program: list[str]) -> Ran:
+    """Run a program that prints JSON, as a process."""
+    start = time.perf_counter()
     with tempfile.TemporaryFile("w+") as out:
         child = subprocess.Popen(program, stdout=out, stderr=subprocess.PIPE, text=True)
         err = child.stderr.read() if child.stderr else ""
         _, status, used = os.wait4(child.pid, 0)
         child.returncode = os.waitstatus_to_exitcode(status)
         if child.returncode:
-            raise SystemExit(f"{' '.join(map(str, words))}: {err}")
+            raise SystemExit(f"{' '.join(program)}: {err}")
         out.seek(0)
         found = json.loads(out.read())
     return Ran(

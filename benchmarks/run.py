@@ -22,6 +22,7 @@ import bubbles
 import bubbles_figures
 import bubbles_fit
 import by_example
+import conduction
 import drainage
 import ensemble_rates
 import ensembles
@@ -57,6 +58,7 @@ import texture_speed
 import trabecula as tb
 import trends
 import view
+import view_peers
 import zoo
 from common import tell, timed, unit
 from descriptors import certificate, descriptors, large
@@ -153,12 +155,14 @@ CASES: dict[str, Callable[[], None]] = {
     "view_still": view.view_still,
     "view_page": view.view_page,
     "view_large": view.view_large,
+    "view_peers": view_peers.view_peers,
     "stills": stills.stills,
     "stills_noise": stills.stills_noise,
     "photographs": photographs.photographs,
     "surfaces": printing.surfaces,
     "layers": printing.layers,
     "intervals": intervals.intervals,
+    "conduction": conduction.conduction,
     "drainage": drainage.drainage,
     "drainage_tubes": drainage.drainage_tubes,
     "networks": networks.networks,

@@ -136,20 +136,20 @@ def view_large(side: int = 1024) -> None:
             with PageServer(page.live.html, boxes=page.live.boxes) as server:
                 threading.Thread(target=server.serve_forever, daemon=True).start()
                 browser.open("about:blank", size=(560, 480))
-                empty = _memory(browser)
+                empty = memory_of(browser)
                 tab = browser.open(server.url, size=(560, 480))
                 tell("first picture, s by the clock", f"{tab.run(_READY) / 1000:.1f}")
                 for zoom, what in ((1, "whole"), (6, "box of finer voxels")):
                     tab.run(f"app.cameras[0].zoom = {zoom}; app.redraw()")
                     tab.run(_SETTLED)
                     tab.call("HeapProfiler.collectGarbage")
-                    tell(f"MB with the {what}", f"{(_memory(browser) - empty) / 1e6:.0f}")
+                    tell(f"MB with the {what}", f"{(memory_of(browser) - empty) / 1e6:.0f}")
                 server.shutdown()
         finally:
             browser.close()
 
 
-def _memory(browser) -> int:
+def memory_of(browser) -> int:
     kinds = ("renderer", "gpu-process")
     return sum(size for kind, size, _ in browser.processes() if kind in kinds)
 
@@ -166,7 +166,7 @@ def _opened(volume: tb.Image, folder: str) -> dict:
         tab.run(_SQUARE)
         tab.run(_HOLD)
         tab.call("HeapProfiler.collectGarbage")
-        found = {"size": path.stat().st_size, "first": first, "memory": _memory(browser)}
+        found = {"size": path.stat().st_size, "first": first, "memory": memory_of(browser)}
         if volume.values.size > 1000:
             for name, options in (("whole", ""), ("plain", "skip: false"), ("half", "scale: 0.5")):
                 found[name] = _measured(browser, tab, options)

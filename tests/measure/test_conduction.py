@@ -14,7 +14,15 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 import trabecula as tb
-from trabecula.measure.transport import conduction, conductivity, diffusivity, tortuosity
+from trabecula.measure.transport import (
+    conduction,
+    conductivity,
+    diffusivity,
+    finest_level,
+    tortuosity,
+)
+from trabecula.measure.transport.conduction_segments import ConductionSegments, multiply
+from trabecula.measure.transport.segments import compact_numbers
 
 volumes = arrays(np.uint8, (6, 6, 6), elements=st.integers(0, 1))
 
@@ -140,6 +148,31 @@ def test_equals_a_direct_solve(edges):
     )
     assert found.converged and found.imbalance < 1e-8
     assert found.value == pytest.approx(direct(values, sigma, edges), rel=1e-6)
+
+
+def test_levels_built_part_by_part_are_those_of_the_whole(monkeypatch):
+    values = medium(3, (14, 11, 10))
+    whole = diffusivity(values, axis=0)
+    monkeypatch.setattr(finest_level, "PART", 1)
+    assert diffusivity(values, axis=0) == whole and whole.iterations < 12
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_equal_potentials_drive_no_flux_in_any_precision(kind):
+    values = medium(4)
+    labels = np.array([0.0, 0.3, 0.7])
+    face = np.sqrt(labels[:, None] * labels)[:, :, None] * [1.0, 0.37, 1.9]
+    active = np.ones(values.shape, bool)
+    active[3:5, 2:4, 1:9] = False
+    part = ConductionSegments.of(values, active, np.array([1, 2]), face, labels)
+    potential, flux = np.zeros(part.length, kind), np.zeros(part.length, kind)
+    number_of, slots = compact_numbers(part.table, part.length)
+    assert len(slots) == active.sum() == part.nodes and (number_of[slots] >= 0).all()
+    potential[slots] = 1 / 3
+    multiply(*part.matrix, potential, flux)
+    ends = np.zeros(values.shape)
+    ends[[0, -1]] = labels[1 + values[[0, -1]]]
+    np.testing.assert_array_equal(flux[slots], ends[active].astype(kind) * kind(1 / 3))
 
 
 def test_void_alone_is_the_limit_of_a_poorly_conducting_solid():

@@ -18,7 +18,9 @@ def test_there_are_enough():
 def test_each_applies_once_and_names_tests_that_are_there(room):
     for entry in ENTRIES:
         if entry.room == room:
-            ast.parse(entry.apply((SOURCE / "trabecula" / entry.file).read_text()))
+            text = entry.apply((SOURCE / "trabecula" / entry.file).read_text())
+            if entry.file.endswith(".py"):
+                ast.parse(text)
             for test in entry.tests:
                 path, *name = test.partition("[")[0].split("::")
                 text = Path(ROOT / path).read_text()

@@ -16,7 +16,7 @@ from trabecula.view.page.server import PageServer
 
 pytestmark = pytest.mark.skipif(chromium.find_browser() is None, reason=chromium.MISSING)
 
-WINDOW = (400, 300)
+WINDOW = (280, 220)
 SHARP = (
     "new Promise((done) => { const wait = () => "
     "(app.passes >= 4 ? done(app.frames) : setTimeout(wait, 20)); wait(); })"
@@ -32,13 +32,6 @@ def foam(side=24, seed=0):
     for axis in range(3):
         noise = sum(np.roll(noise, shift, axis) for shift in range(-2, 3))
     return tb.Image((noise > 0).astype(np.uint8), "labels", 20, "um")
-
-
-@pytest.fixture(scope="module")
-def browser():
-    running = chromium.Chromium()
-    yield running
-    running.close()
 
 
 @pytest.fixture
@@ -118,7 +111,8 @@ def test_what_is_skipped_would_not_have_been_seen(show, opacity):
     values[4:9, 30:35, 5:20], values[20:22, :, 22:24] = True, True
     tab = show(values)
     tab.run(
-        f"app.setCut('none'); app.volumes[0].opacity = {opacity}; app.volumes[0].dirty = true; "
+        f"app.setCut('none'); app.volumes[0].phases[1].opacity = {opacity}; "
+        "app.volumes[0].dirty = true; "
         "app.redraw()"
     )
     canvas(tab)
@@ -173,7 +167,7 @@ def test_a_dragged_handle_moves_its_plane_and_the_slider_follows(show):
 
 @pytest.mark.whole
 def test_the_free_plane_is_tilted_and_shifted_by_its_handles(show):
-    tab = show(foam())
+    tab = show(foam(), size=(400, 300))
     tab.run("document.querySelector('input[name=\"Free plane\"]').click()")
     before, azimuth = canvas(tab), tab.run("app.cut.azimuth")
     x, y = middle_of(tab, "[data-grip=tilt]")
@@ -261,7 +255,7 @@ def test_volumes_without_a_common_unit_say_so(show):
 @pytest.mark.whole
 def test_grey_follows_its_transfer_function(show):
     ramp = np.broadcast_to(np.linspace(0, 250, 24).astype(np.uint8), (24, 24, 24))
-    tab = show(tb.Image(ramp, "grey"), size=(620, 500))
+    tab = show(tb.Image(ramp, "grey"), size=(400, 360))
     tab.run("app.setCut('none'); app.homeAngles.azimuth = app.homeAngles.elevation = 0; app.home()")
 
     def share(low):
@@ -393,7 +387,7 @@ def test_the_served_page_is_drawn_and_loads_nothing_else(browser):
 @pytest.mark.whole
 def test_the_probe_reads_local_thickness_and_the_slices_are_linked(show):
     image = foam(20)
-    tab = show(image, size=(620, 500))
+    tab = show(image, size=(300, 560))
     for phase in ("solid", "void"):
         thick = tb.measure.local_thickness(image, phase=phase)
         for z, y, x in np.argwhere(thick > 0)[::731]:

@@ -76,6 +76,7 @@ from trabecula.measure.transport import (
     conductivity,
     diffusivity,
     permeability,
+    streamlines,
     tortuosity,
 )
 from trabecula.measure.triple_lines import (
@@ -170,6 +171,7 @@ __all__ = [
     "sources",
     "specific_surface",
     "stiffness",
+    "streamlines",
     "structure_model_index",
     "structure_tensor",
     "ten_bins",

@@ -146,6 +146,7 @@ print(plan.peak, 1024 * int(re.search("VmHWM:\\s+(\\d+)", status)[1]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak is read from /proc")
 def test_the_forecast_of_memory_holds():
     done = subprocess.run(

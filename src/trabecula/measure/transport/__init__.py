@@ -5,5 +5,13 @@ trusted.
 from trabecula.measure.transport.conduction import conductivity, diffusivity, tortuosity
 from trabecula.measure.transport.permeability import permeability
 from trabecula.measure.transport.result import Effective
+from trabecula.measure.transport.streamlines import streamlines
 
-__all__ = ["Effective", "conductivity", "diffusivity", "permeability", "tortuosity"]
+__all__ = [
+    "Effective",
+    "conductivity",
+    "diffusivity",
+    "permeability",
+    "streamlines",
+    "tortuosity",
+]

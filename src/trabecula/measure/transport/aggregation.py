@@ -1,4 +1,5 @@
-"""Aggregation multigrid for M-matrices on graphs: the preconditioner of every solve in this room.
+"""Levels of aggregation multigrid for M-matrices on graphs: below the finest one, every solve of
+this room has them.
 
 Notay 2010, "An aggregation-based algebraic multigrid method" (Electronic Transactions on Numerical
 Analysis 37, 123-146), with geometric aggregates: the nodes of a 2x2x2 block that are connected
@@ -12,7 +13,9 @@ Vectors inside the cycle are float32.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -20,9 +23,8 @@ from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import one_blas_thread
 from trabecula.measure.transport.graph import Graph
 from trabecula.measure.union_find import join, number_trees
-from trabecula.numerics.multigrid import Multigrid, k_cycle
 
-_DIRECT = 256  # unknowns of the coarsest level, which is solved by its inverse
+DIRECT = 256  # unknowns of the coarsest level, which is solved by its inverse
 _SLOWEST = 0.8  # of a level's nodes: one that keeps more of them is not worth its work
 _STRONG = 0.1  # couplings below this share of the strongest of either node do not aggregate
 _SWEEPS = 20  # of a coarsest level that is too large for its inverse
@@ -75,50 +77,84 @@ class GraphLevel:
         return _sweep(*self.graph.rows, self.inverse, right, _SWEEPS)
 
 
-class AggregationMultigrid(Multigrid[GraphLevel]):
-    """The preconditioner of a graph; calling it maps a residual to a correction, both float64."""
-
-    def __init__(self, graph: Graph) -> None:
-        super().__init__(build_levels(graph), k_cycle)
-
-    def __call__(self, residual: np.ndarray) -> np.ndarray:
-        """Return an approximate solution for a residual."""
-        return self.cycle(0, np.asarray(residual, np.float32)).astype(np.float64)
-
-
 def build_levels(graph: Graph) -> list[GraphLevel]:
     """Build the hierarchy below a matrix, finest first."""
     levels: list[GraphLevel] = []
     while True:
         inverse = (1.0 / graph.diagonal).astype(np.float32)
-        small = len(inverse) <= _DIRECT
+        small = len(inverse) <= DIRECT
         coarser = None if small else _coarsen(graph)
         if coarser is None:
             whole = _invert(graph) if small else None
-            return [*levels, GraphLevel(graph, inverse, np.zeros(0, np.int32), 0, whole)]
+            return [*levels, GraphLevel(graph.trim(), inverse, np.zeros(0, np.int32), 0, whole)]
         aggregate, below = coarser
-        levels.append(GraphLevel(graph, inverse, aggregate, len(below.diagonal), None))
+        levels.append(GraphLevel(graph.trim(), inverse, aggregate, len(below.diagonal), None))
         graph = below
+
+
+def coarsen_parts(
+    parts: Sequence[Callable[[], Graph]], nodes: int
+) -> tuple[np.ndarray, Graph] | None:
+    """Return aggregates of blocks and the next level of a matrix that is never held as a whole:
+    part after part returns the rows of some nodes, no block in two of them; called once or twice.
+
+    None where blocks join few nodes.
+    """
+    for strong in (_STRONG, 0.0):
+        aggregate, count = np.empty(nodes, np.int32), 0
+        first = 0
+        for rows in parts:
+            part = rows()
+            strongest = _strongest_couplings(part.start, part.weight)
+            linked = part.start, part.middle, part.other, part.weight
+            found, more = _aggregate_blocks(*linked, strongest, part.place, strong, first)
+            last = first + len(found)
+            aggregate[first:last] = found + np.int32(count)
+            first, count = last, count + more
+        if count <= _SLOWEST * nodes:
+            return aggregate, _sum_parts(parts, aggregate, count)
+    return None
+
+
+def _sum_parts(parts: Sequence[Callable[[], Graph]], aggregate: np.ndarray, count: int) -> Graph:
+    """Return the matrix between aggregates, part after part."""
+    mark = np.full(count, -1, np.int64)
+    found: list[tuple[np.ndarray, ...]] = []
+    first = done = used = 0
+    for rows in parts:
+        part = rows()
+        last = first + len(part.place)
+        own = aggregate[first:last]
+        some = int(own.max()) + 1 - done
+        linked = *part.rows, part.middle, part.place
+        found.append(_galerkin(*linked, own - np.int32(done), some, aggregate, mark, done, used))
+        first, done, used = last, done + some, used + len(found[-1][2])
+    begin, *fields = [np.concatenate(field) for field in _columns(found)]
+    return Graph(np.append(begin, used), *fields)
+
+
+def _columns(found: list[tuple[np.ndarray, ...]]) -> Iterator[list[np.ndarray]]:
+    """Return one field after the other of all parts, dropping it from them."""
+    rest = [list(reversed(fields)) for fields in found]
+    found.clear()
+    while rest[0]:
+        yield [fields.pop() for fields in rest]
 
 
 def _coarsen(graph: Graph) -> tuple[np.ndarray, Graph] | None:
     """Return aggregates and the next level; None where even blocks of the whole grid would join few
     nodes.
     """
-    place = graph.place
-    strongest = _strongest_couplings(graph.start, graph.weight)
     while True:
         # weakly coupled nodes have to be joined at last, or the level would never get coarse
-        for strong in (_STRONG, 0.0):
-            aggregate, count = _aggregate_blocks(
-                graph.start, graph.middle, graph.other, graph.weight, strongest, place, strong
-            )
-            if count <= _SLOWEST * len(place):
-                links = _galerkin(*graph.rows, graph.middle, place, aggregate, count)
-                return aggregate, Graph(*links)
-        if not place.any():
-            return None
-        place = place >> 1  # no two neighbours in one block: double the blocks
+        found = coarsen_parts([partial(_itself, graph)], len(graph.place))
+        if found is not None or not graph.place.any():
+            return found
+        graph = graph._replace(place=graph.place >> 1)  # no two neighbours in one block: double
+
+
+def _itself(graph: Graph) -> Graph:
+    return graph
 
 
 def _invert(graph: Graph) -> np.ndarray:
@@ -205,14 +241,16 @@ def _strongest_couplings(start, weight):
 
 
 @kernel
-def _aggregate_blocks(start, middle, other, weight, strongest, place, strong):
+def _aggregate_blocks(start, middle, other, weight, strongest, place, strong, first):
     """Join the nodes of one 2x2x2 block along strong couplings; number aggregates by their first
-    node.
+    node. The rows are those of the nodes from `first` on.
     """
     parent = np.arange(len(start) - 1)
     for i in range(len(parent)):
         for k in range(start[i], middle[i]):
-            j = other[k]
+            j = other[k] - first
+            if j < 0:
+                continue
             same = (place[i, 0] >> 1 == place[j, 0] >> 1) and (place[i, 1] >> 1 == place[j, 1] >> 1)
             if not (same and place[i, 2] >> 1 == place[j, 2] >> 1):
                 continue
@@ -240,18 +278,22 @@ def _list_members(aggregate, count):
 
 
 @kernel
-def _galerkin(start, other, weight, diagonal, middle, place, aggregate, count):
-    """Return the matrix between aggregates, as the fields of a Graph: sums of the couplings between
-    them.
+def _galerkin(
+    start, other, weight, diagonal, middle, place, own, count, aggregate, mark, done, used
+):
+    """Return rows of the matrix between aggregates, as the fields of a Graph without the end of the
+    last row: sums of the couplings between them.
+
+    The rows are those of nodes whose aggregates, less `done`, are `own`, `count` of them; before
+    them are `used` couplings. `mark` holds where the last coupling to an aggregate is.
     """
-    first, member = _list_members(aggregate, count)
-    begin, half = np.zeros(count + 1, np.int64), np.empty(count, np.int64)
+    first, member = _list_members(own, count)
+    begin, half = np.zeros(count, np.int64), np.empty(count, np.int64)
     to, pull = np.empty(len(other), np.int32), np.empty(len(other), np.float32)
     total, where = np.zeros(count), np.empty((count, 3), np.int16)
-    mark = np.full(count, -1, np.int64)
-    used = 0
+    at = used
     for c in range(count):
-        begin[c] = used
+        begin[c] = at
         for later in range(2):
             for m in range(first[c], first[c + 1]):
                 i = member[m]
@@ -261,15 +303,14 @@ def _galerkin(start, other, weight, diagonal, middle, place, aggregate, count):
                         where[c, d] = place[i, d] >> 1
                 for k in range(start[i], start[i + 1]):
                     a = aggregate[other[k]]
-                    if a == c:
+                    if a == c + done:
                         total[c] -= weight[k] if later else 0.0
-                    elif (a > c) == (later == 1):
+                    elif (a > c + done) == (later == 1):
                         if mark[a] < begin[c]:
-                            mark[a] = used
-                            to[used], pull[used] = a, 0.0
-                            used += 1
-                        pull[mark[a]] += weight[k]
+                            mark[a] = at
+                            to[at - used], pull[at - used] = a, 0.0
+                            at += 1
+                        pull[mark[a] - used] += weight[k]
             if later == 0:
-                half[c] = used
-    begin[count] = used
-    return begin, half, to[:used].copy(), pull[:used].copy(), total, where
+                half[c] = at
+    return begin, half, to[: at - used].copy(), pull[: at - used].copy(), total, where

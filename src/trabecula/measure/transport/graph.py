@@ -1,15 +1,12 @@
-"""`Graph`: a symmetric M-matrix as couplings between neighbours, and its conjugate gradients."""
+"""`Graph`: a symmetric M-matrix as couplings between neighbours."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from trabecula.engine.compile import kernel
-from trabecula.numerics.krylov import Iterate, LinearSystem, conjugate_gradients
-from trabecula.numerics.vectors import dot
 
 
 class Graph(NamedTuple):
@@ -32,43 +29,21 @@ class Graph(NamedTuple):
         """Return the arrays that a product needs."""
         return self.start, self.other, self.weight, self.diagonal
 
+    def trim(self) -> Graph:
+        """Return what products and sweeps in float32 need, in fewer bytes: no places."""
+        index = np.int32 if len(self.other) < 2**31 else np.int64
+        return Graph(
+            self.start.astype(index),
+            self.middle.astype(index),
+            self.other,
+            self.weight,
+            self.diagonal.astype(np.float32),
+            self.place[:0].copy(),
+        )
+
     def apply(self, x: np.ndarray) -> np.ndarray:
         """Return the matrix times x, in the precision of x."""
         return multiply(*self.rows, x)
-
-
-class GraphSystem(LinearSystem):
-    """A graph and its preconditioner as a system of `conjugate_gradients`."""
-
-    def __init__(self, graph: Graph, multigrid: Callable[[np.ndarray], np.ndarray]) -> None:
-        self.graph, self.multigrid = graph, multigrid
-
-    def apply(self, vector: np.ndarray) -> np.ndarray:
-        """Return the matrix times a vector."""
-        return self.graph.apply(vector)
-
-    def precondition(self, residual: np.ndarray) -> np.ndarray:
-        """Return an approximate solution by a cycle of multigrid."""
-        return self.multigrid(residual)
-
-    def dot(self, a: np.ndarray, b: np.ndarray) -> float:
-        """Return the scalar product."""
-        return float(dot(a, b))
-
-
-def solve_graph(
-    graph: Graph,
-    right: np.ndarray,
-    precondition: Callable[[np.ndarray], np.ndarray],
-    *,
-    accept: Callable[[Iterate], bool],
-    most: int,
-) -> tuple[Iterate, bool]:
-    """Solve `graph x = right` from zero by flexible conjugate gradients; see `numerics.krylov`."""
-    x = np.zeros(len(right))
-    residual = right - graph.apply(x)
-    system = GraphSystem(graph, precondition)
-    return conjugate_gradients(system, x, residual, accept=accept, most=most, flexible=True)
 
 
 @kernel

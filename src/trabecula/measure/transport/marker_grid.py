@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from trabecula.measure.transport import segments
-from trabecula.measure.transport.aggregation import GraphLevel, build_levels
+from trabecula.measure.transport.finest_level import FinestLevel
 from trabecula.measure.transport.graph import Graph
 from trabecula.measure.transport.segments import CellSegments, FaceSegments
 from trabecula.numerics.krylov import Iterate, LinearSystem, conjugate_gradients
@@ -101,45 +101,17 @@ class MarkerGrid:
         return np.asarray(flow * self.area[0])
 
 
-class _FinestLevel:
-    """The finest level of a multigrid: its coarser one is that of a graph that is not kept."""
-
-    def __init__(self, part: FaceSegments | CellSegments, graph: Graph, slots: np.ndarray) -> None:
-        levels = build_levels(graph)
-        self.below = levels[1:]
-        self.part, self.count = part, levels[0].count
-        self.x = np.zeros(0, np.float32)
-        """Where the next result goes: of the part's length, zeros between runs."""
-        self.coarse = np.zeros(self.count, np.float32)
-        self.alone: tuple[GraphLevel, np.ndarray] | None = None
-        self.aggregate = np.zeros(0, np.int32)
-        if self.below:
-            self.aggregate = np.zeros(part.slots, np.int32)
-            self.aggregate[slots] = levels[0].aggregate
-        else:
-            self.alone = levels[0], slots
-
-    def prolong(self, correction: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Add the correction of its aggregate to every node."""
-        segments.prolong(self.part.table, self.aggregate, correction, x)
-        return x
-
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """Return the solution where this level is the coarsest as well."""
-        assert self.alone is not None
-        level, slots = self.alone
-        self.x[slots] = level.solve(np.asarray(right[slots], np.float32))
-        return self.x
-
-
-class FaceLevel(_FinestLevel):
+class FaceLevel(FinestLevel):
     """The viscous matrix of one velocity."""
 
     def __init__(self, face: FaceSegments, pull: np.ndarray) -> None:
         self.matrix = (*face[:4], pull)
-        number, slots = segments.compact_numbers(face.table, face.length)
-        fields = segments.face_graph(*face[:4], face.place, pull, number, face.nodes)
-        super().__init__(face, Graph(*fields), slots)
+
+        def rows(number: np.ndarray, a: int, b: int) -> Graph:
+            linked = face.table[a:b], face.code[a:b], face.diagonal, face.share, face.place[a:b]
+            return Graph(*segments.face_graph(*linked, pull, number))
+
+        super().__init__(face, rows)
 
     def presmooth(self, right: np.ndarray, x: np.ndarray | None) -> np.ndarray:
         """Return the result of a forward Gauss-Seidel sweep from zero."""
@@ -158,18 +130,17 @@ class FaceLevel(_FinestLevel):
         return x
 
 
-class CellLevel(_FinestLevel):
+class CellLevel(FinestLevel):
     """The matrix of div (mobility grad)."""
 
     def __init__(self, cells: CellSegments, mobility: list[np.ndarray], pull: np.ndarray) -> None:
         self.matrix = (cells.table, pull, *_three(mobility))
-        number, slots = segments.compact_numbers(cells.table, cells.length)
-        graph = Graph(
-            *segments.cell_graph(
-                cells.table, cells.place, *_three(mobility), pull, number, cells.nodes
-            )
-        )
-        super().__init__(cells, graph, slots)
+
+        def rows(number: np.ndarray, a: int, b: int) -> Graph:
+            linked = cells.table[a:b], cells.place[a:b], *_three(mobility), pull, number
+            return Graph(*segments.cell_graph(*linked))
+
+        super().__init__(cells, rows)
         self.inverse = np.zeros(cells.slots, np.float32)
         segments.cell_inverse(*self.matrix, self.inverse)
 

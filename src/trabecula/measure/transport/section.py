@@ -17,6 +17,7 @@ from trabecula.measure.centre_crop import box_sides, centre, check_memory, clip_
 from trabecula.measure.labelling import label_components
 from trabecula.measure.percolation import spanning_voxels
 from trabecula.measure.phases import as_axis
+from trabecula.measure.transport.finest_level import PART
 from trabecula.measure.transport.result import Effective
 
 HALVED = 48
@@ -25,7 +26,8 @@ HALVED = 48
 _LONGEST = 2**15 - 1  # places are kept as int16
 _MOST = 2**29  # voxels: three velocities each are numbered by int32
 
-_GRID_BYTES = 40  # per voxel, of the phase or not: labels, components, numbers
+_GRID_BYTES = 12  # per voxel, of the phase or not: labels, components, numbers
+_ROW_BYTES = 125  # per voxel of the phase whose row of the matrix is held while levels are built
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,9 @@ def forecast_bytes(carrying: np.ndarray, voxel_bytes: int, *, split: int = 0) ->
     """
 
     def one(inside: np.ndarray) -> int:
-        return int(np.count_nonzero(inside)) * voxel_bytes + inside.size * _GRID_BYTES
+        count = int(np.count_nonzero(inside))
+        rows = min(count, max(PART, 2 * count // len(inside)))  # a part, or two planes
+        return count * voxel_bytes + inside.size * _GRID_BYTES + rows * _ROW_BYTES
 
     if not split:
         return one(carrying)

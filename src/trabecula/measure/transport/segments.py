@@ -112,7 +112,7 @@ def number_faces(active, axis):
 
 
 @inline
-def _slot(slot, z, y, x):
+def slot_at(slot, z, y, x):
     """Return a slot, 0 beyond the grid."""
     depth, height, width = slot.shape
     if z < 0 or y < 0 or x < 0 or z >= depth or y >= height or x >= width:
@@ -121,7 +121,7 @@ def _slot(slot, z, y, x):
 
 
 @inline
-def _continues(table, at, found, zero):
+def continues(table, at, found, zero):
     """Return whether what was found continues the columns of a segment."""
     length = table[at, 1]
     for c in range(2, table.shape[1]):
@@ -195,18 +195,18 @@ def find_face_segments(cells, slot, axis, pull, zero, zero_cell, segments):
                     fresh = True
                     continue
                 found[0] = i
-                found[2] = _slot(slot, z, y - 1, x)
-                found[3] = _slot(slot, z, y + 1, x)
-                found[4] = _slot(slot, z - 1, y, x)
-                found[5] = _slot(slot, z + 1, y, x)
-                found[6] = _slot(cells, z - (axis == 0), y - (axis == 1), x - (axis == 2))
-                found[7] = _slot(cells, z, y, x)
+                found[2] = slot_at(slot, z, y - 1, x)
+                found[3] = slot_at(slot, z, y + 1, x)
+                found[4] = slot_at(slot, z - 1, y, x)
+                found[5] = slot_at(slot, z + 1, y, x)
+                found[6] = slot_at(cells, z - (axis == 0), y - (axis == 1), x - (axis == 2))
+                found[7] = slot_at(cells, z, y, x)
                 for c in range(2, FACE_COLUMNS):
                     if found[c] == 0:
                         found[c] = empty[c]
                 own = _face_diagonal(cells, slot, axis, pull, z, y, x)
                 at = total - 1 if fill else 0
-                if not fresh and own == last and _continues(table, at, found, empty):
+                if not fresh and own == last and continues(table, at, found, empty):
                     table[at, 1] += 1
                     continue
                 at = total if fill else 0
@@ -244,24 +244,24 @@ def find_cell_segments(cells, along_z, along_y, along_x, zero, zeros, segments):
                     fresh = True
                     continue
                 found[0] = i
-                found[2] = _slot(cells, z, y - 1, x)
-                found[3] = _slot(cells, z, y + 1, x)
-                found[4] = _slot(cells, z - 1, y, x)
-                found[5] = _slot(cells, z + 1, y, x)
+                found[2] = slot_at(cells, z, y - 1, x)
+                found[3] = slot_at(cells, z, y + 1, x)
+                found[4] = slot_at(cells, z - 1, y, x)
+                found[5] = slot_at(cells, z + 1, y, x)
                 found[6] = along_z[z, y, x]
                 found[7] = along_z[z + 1, y, x]
                 found[8] = along_y[z, y, x]
-                found[9] = _slot(along_y, z, y + 1, x)
+                found[9] = slot_at(along_y, z, y + 1, x)
                 # The slot before the first face of a run is 0, as the one after the last.
                 found[10] = along_x[z, y, x]
                 if found[10] == 0:
-                    after = _slot(along_x, z, y, x + 1)
+                    after = slot_at(along_x, z, y, x + 1)
                     found[10] = after - 1 if after > 0 else zeros[2]
                 for c in range(2, 10):
                     if found[c] == 0:
                         found[c] = empty[c]
                 at = total - 1 if fill else 0
-                if not fresh and _continues(table, at, found, empty):
+                if not fresh and continues(table, at, found, empty):
                     table[at, 1] += 1
                     continue
                 at = total if fill else 0
@@ -303,8 +303,11 @@ def compact_numbers(table, length):
 
 
 @kernel
-def face_graph(table, code, diagonal, share, place, pull, number, nodes):
-    """Return the viscous matrix of one velocity as the fields of a Graph."""
+def face_graph(table, code, diagonal, share, place, pull, number):
+    """Return the rows of the viscous matrix of one velocity for some segments as the fields of a
+    Graph; number is that of a slot's node, -1 where it has none.
+    """
+    nodes = table[:, 1].sum()
     start, middle = np.zeros(nodes + 1, np.int64), np.zeros(nodes, np.int64)
     own, where = np.zeros(nodes), np.empty((nodes, 3), np.int16)
     weight, other = np.empty(0, np.float32), np.empty(0, np.int32)
@@ -337,10 +340,11 @@ def face_graph(table, code, diagonal, share, place, pull, number, nodes):
 
 
 @kernel
-def cell_graph(table, place, mobility_z, mobility_y, mobility_x, pull, number, nodes):
-    """Return the matrix of div (mobility grad) over the voxels as the fields of a Graph; pull[d] is
-    area**2.
+def cell_graph(table, place, mobility_z, mobility_y, mobility_x, pull, number):
+    """Return the rows of the matrix of div (mobility grad) over the voxels of some segments as the
+    fields of a Graph; pull[d] is area**2.
     """
+    nodes = table[:, 1].sum()
     start, middle = np.zeros(nodes + 1, np.int64), np.zeros(nodes, np.int64)
     own, where = np.zeros(nodes), np.empty((nodes, 3), np.int16)
     weight, other = np.empty(0, np.float32), np.empty(0, np.int32)

@@ -174,6 +174,49 @@ class GanModel(WindowModel):
             plain["spacing"] = self.parts["spacing"]
         return ModelState(self.parts["generator"], plain, dict(self.parts.get("training", {})))
 
+    def browser_parts(self) -> tuple[dict[str, Any], np.ndarray]:
+        """Return what makes the same labels in a page: settings as plain JSON, and weights.
+
+        Returns
+        -------
+        settings : dict
+            "name", "spacing", "unit", "phases", "shares" of what is made; "latent", "layers"
+            (channels of output and input, and edge, of each convolution), "blurs", "channels" of
+            the network; "offsets", "present", "specks" of the labels.
+        weights : (N,) float32
+            Of every layer its biases, then its weights (output, input, z, y, x).
+
+        Raises
+        ------
+        InputError
+            A generator with padding, or grey values.
+        """
+        if self.config.generator != "subpixel" or self.calibration["kind"] != "labels":
+            raise InputError(
+                f"a page makes labels by the sub-pixel generator, the model {self.name or ''} has "
+                f"generator={self.config.generator!r} and makes {self.calibration['kind']}: make "
+                "its material with `trabecula generate --model`"
+            )
+        arrays = self.parts["generator"]
+        layers = range(len(arrays) // 2)
+        made = self._result_fields()
+        settings = {
+            "name": self.name,
+            "spacing": [float(edge) for edge in made["spacing"]],
+            "unit": made["unit"],
+            "phases": list(made["phases"]),
+            "shares": list(self.facts[0].shares),
+            "latent": self.config.latent,
+            "layers": [list(arrays[f"layers.{i}.weight"].shape[:3]) for i in layers],
+            "blurs": self.config.smoothing + self.config.polish,
+            "channels": self.channels,
+            "offsets": list(map(float, self.calibration["offsets"])),
+            "present": list(map(int, self.calibration["present"])),
+            "specks": self.specks,
+        }
+        flat = [arrays[f"layers.{i}.{part}"].ravel() for i in layers for part in ("bias", "weight")]
+        return settings, np.concatenate(flat).astype(np.float32)
+
     def _result_fields(self) -> dict[str, Any]:
         found = super()._result_fields()
         return {**found, "spacing": tuple(self.parts.get("spacing", found["spacing"]))}

@@ -7,8 +7,8 @@ const REFINED = 48;   // passes of the refined light
 const $ = (id) => document.getElementById(id);
 
 class App {
-  constructor(volumes, drawing) {
-    Object.assign(this, { volumes, drawing, look: PAGE.look, active: 0, linked: true, frames: 0, passes: 0 });
+  constructor(volumes, drawing, weights = null) {
+    Object.assign(this, { volumes, drawing, look: PAGE.look, active: PAGE.endless?.volume ?? 0, linked: true, frames: 0, passes: 0 });
     this.cut = { mode: "corner", at: [0.5, 0.5, 0.5], side: [1, -1, 1], free: false, azimuth: 85, elevation: 12, offset: 0.5 };
     this.homeAngles = { ...HOME };
     this.cameras = volumes.map(() => null);
@@ -25,11 +25,13 @@ class App {
       const side = volumes[0].sides[axis];
       return side > 1 ? Math.floor(side / 2) / side : 0.5;
     });
+    this.endless = PAGE.endless ? new Endless(this, PAGE.endless, weights) : null;
     this.views = volumes.map((volume) => this.overlay(volume));
     this.ofLook = this.atFirst = snapshot(this);
     this.recall();
     this.slices = slicePanels(this, $("slices"));
     this.choose(this.active, true);
+    if (this.endless) this.endless.ask();
   }
 
   // What the address remembers.
@@ -188,7 +190,7 @@ class App {
     const drawn = this.drawing ? [section("Look and material", ...lookControls(this), ...materialControls(this, volume)),
       section("Cut", ...cutControls(this)), section("Camera", ...cameraControls(this))] : [];
     const open = [...$("panel").querySelectorAll("details")].map((each) => each.open);
-    $("panel").replaceChildren(...which, section("Figures", ...facts(volume)), ...drawn);
+    $("panel").replaceChildren(...which, ...(this.endless ? [this.endless.section] : []), section("Figures", ...facts(volume)), ...drawn);
     $("panel").querySelectorAll("details").forEach((each, i) => { each.open = open[i] ?? i < 3; });
   }
 
@@ -279,7 +281,7 @@ class App {
       const cell = this.cells[i], width = pixels(cell.width), height = pixels(cell.height);
       const bottom = pixels(clientHeight) - pixels(cell.top + cell.height);
       const view = { camera: this.cameras[i], cut: this.cut, look: this.look, pixel: cell.pixel * cell.width / width,
-        foot: cell.foot * height / cell.height };
+        foot: cell.foot * height / cell.height, density };
       const place = [cell.left ? pixels(cell.left) : 0, Math.max(0, bottom), width, height];
       this.drawing.draw(volume, place, view, { jitter: JITTER[pass], blend: 1 / (pass + 1), ...options });
     });
@@ -359,12 +361,15 @@ async function start() {
   const volumes = [];
   for (const [i, about] of PAGE.volumes.entries()) {
     const [depth, height, width] = about.shape, channels = about.kind === "colour" ? 3 : 1;
-    const voxels = await unpack($(`voxels-${i}`), depth * height * width * channels);
+    const packed = $(`voxels-${i}`), size = depth * height * width * channels;
+    const voxels = packed ? await unpack(packed, size) : new Uint8Array(size);   // endless material is made later
     const sides = [width, height, depth], fields = [];
     for (const [j, field] of about.fields.entries()) {
       fields.push({ ...field, voxels: await unpack($(`field-${i}-${j}`), depth * height * width) });
     }
-    volumes.push({ ...about, voxels, sides, fields, extent: sides.map((side, k) => side * about.edges[k]), opacity: 1, dirty: true });
+    about.phases.forEach((phase) => { phase.opacity = 1; });
+    const lines = about.lines && { ...about.lines, shown: true, values: await unpackLines($(`lines-${i}`), about.lines) };
+    volumes.push({ ...about, lines, voxels, sides, fields, extent: sides.map((side, k) => side * about.edges[k]), opacity: 1, dirty: true });
   }
   let drawing = null;
   try {
@@ -376,12 +381,13 @@ async function start() {
     complain(`${error.message}: here are the slices. The volume turns in a browser with WebGL 2, such as a recent Firefox, Chrome or Safari.`);
     document.body.classList.add("flat");
   }
-  const app = new App(volumes, drawing);
+  const app = new App(volumes, drawing, PAGE.endless ? await unpackWeights(PAGE.endless.model) : null);
   window.addEventListener("hashchange", () => {
     app.recall();
     app.panel();
     app.drawSlices();
     app.redraw();
+    if (app.endless) app.endless.ask();
   });
   if (drawing) {
     listen(app, $("picture"));

@@ -133,13 +133,13 @@ function finishControls(app, phase) {
 
 function materialControls(app, volume) {
   const fresh = () => { volume.dirty = true; app.redraw(); app.drawSlices(); };
-  const opacity = slider("Opacity", { min: 0.05, max: 1, step: 0.05 }, () => volume.opacity, (value) => {
-    // Empty blocks mean another thing for a cloud than for a surface.
-    volume.dirty ||= value < 1 !== volume.opacity < 1;
-    volume.opacity = value;
+  // Of greys as a whole, of labels by phase; a cloud has no surface, and marks other blocks as empty.
+  const opacity = (of) => slider("Opacity", { min: 0.05, max: 1, step: 0.05 }, () => of.opacity, (value) => {
+    volume.dirty ||= value < 1 !== of.opacity < 1;
+    of.opacity = value;
     app.redraw();
   });
-  if (volume.kind !== "labels") return [...transferControls(app, volume, fresh), opacity, ...finishControls(app, volume.phases[1])];
+  if (volume.kind !== "labels") return [...transferControls(app, volume, fresh), opacity(volume), ...finishControls(app, volume.phases[1])];
   const tints = fieldControls(app, volume);
   const host = make("div");
   let chosen = Math.max(0, volume.phases.findIndex((phase) => phase.visible));
@@ -147,11 +147,12 @@ function materialControls(app, volume) {
     tick(phase.name, () => phase.visible, (value) => { phase.visible = value; fresh(); }),
     make("span", { class: "share" }, phase.share),
     dye(phase.name, () => phase.colour, (value) => { phase.colour = value; app.redraw(); app.drawSlices(); })));
-  const fill = () => host.replaceChildren(...finishControls(app, volume.phases[chosen]));
+  const fill = () => host.replaceChildren(opacity(volume.phases[chosen]), ...finishControls(app, volume.phases[chosen]));
   const names = volume.phases.map((phase, label) => [String(label), phase.name]);
   const which = choice("Surface of", names, () => String(chosen), (value) => { chosen = Number(value); fill(); });
   fill();
-  return [...tints, ...list, opacity, which, host];
+  const lines = volume.lines ? [tick("Streamlines", () => volume.lines.shown, (value) => { volume.lines.shown = value; app.redraw(); })] : [];
+  return [...tints, ...lines, ...list, which, host];
 }
 
 // Transfer function of greys: opacity rises from `low` to `high`; colours run from dark to bright over the window.

@@ -32,6 +32,7 @@ from trabecula.view.volume import LEVELS, WEIGHTS
 _SCRIPTS = (
     "volume.js",
     "scene.js",
+    "lines.js",
     "drawing.js",
     "probe.js",
     "tape.js",
@@ -40,8 +41,10 @@ _SCRIPTS = (
     "state.js",
     "detail.js",
     "pointer.js",
+    "endless.js",
     "app.js",
 )
+_WORKER = ("philox.js", "convolution.js", "network.js", "maker.js", "worker.js")
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,7 @@ def document(
     title: str,
     about: Mapping[str, Any],
     volumes: Sequence[str],
-    fields: Mapping[str, str] | None = None,
+    blocks: Mapping[str, str] | None = None,
     *,
     live: bool = False,
 ) -> str:
@@ -136,16 +139,20 @@ def document(
         Plain JSON for the script: look, volumes, and whether they are aligned.
     volumes : sequence of str
         Their voxels, `pack`.
-    fields : mapping, optional
-        "volume-field" -> the field's bytes, `pack`.
+    blocks : mapping, optional
+        Further packed bytes by the names of their elements: "field-VOLUME-FIELD",
+        "lines-VOLUME", and of endless material "weights" and "quantiles".
     live : bool
         It may ask its own server.
     """
     style, script = _asset("page.css"), _script()
+    endless = "endless" in about  # a worker of this page's own text, and its kernel
+    run, work = (" 'wasm-unsafe-eval'", "; worker-src blob:") if endless else ("", "")
     policy = (
-        f"default-src 'none'; script-src 'sha256-{_hash(script)}'; "
+        f"default-src 'none'; script-src 'sha256-{_hash(script)}'{run}; "
         f"style-src 'sha256-{_hash(style)}'; "
         "img-src data: blob:; base-uri 'none'; form-action 'none'"
+        + work
         + ("; connect-src 'self'" if live else "")
     )
     tables = {
@@ -161,8 +168,8 @@ def document(
         f"BANDS = {float(BANDS)};"
     )
     packed = {f"voxels-{k}": text for k, text in enumerate(volumes)}
-    packed |= {f"field-{name}": text for name, text in (fields or {}).items()}
-    blocks = (
+    packed |= blocks or {}
+    elements = (
         f'<script type="application/gzip" id="{name}">{text}</script>'
         for name, text in packed.items()
     )
@@ -170,7 +177,7 @@ def document(
         "policy": policy,
         "title": escape(title),
         "style": style,
-        "volumes": "\n".join(blocks),
+        "volumes": "\n".join(elements),
         # A name of a file may hold "</script>"; in JSON an escape says the same.
         "page": json.dumps({"title": title, **about, "table": tables}, allow_nan=False).replace(
             "<", "\\u003c"
@@ -178,6 +185,9 @@ def document(
         "vertex": _asset("march.vert"),
         "fragment": _asset("march.frag").replace("// {constants}", constants),
         "showing": _asset("show.frag"),
+        "linevertex": _asset("lines.vert"),
+        "linefragment": _asset("lines.frag"),
+        "worker": _joined(_WORKER) if endless else "",
         "script": script,
     }
     # In one pass, so that nothing that is put in is taken for a place to put something.
@@ -194,8 +204,12 @@ def _script() -> str:
     head = (
         'const PAGE = JSON.parse(document.getElementById("page").textContent), TABLE = PAGE.table;'
     )
-    parts = "\n".join(_asset(name).replace('"use strict";\n', "") for name in _SCRIPTS)
-    return f'(() => {{\n"use strict";\n{head}\n{parts}}})();'
+    return f'(() => {{\n"use strict";\n{head}\n{_joined(_SCRIPTS)}}})();'
+
+
+def _joined(names: Sequence[str]) -> str:
+    """Return scripts one after the other."""
+    return "\n".join(_asset(name).replace('"use strict";\n', "") for name in names)
 
 
 def _hash(text: str) -> str:

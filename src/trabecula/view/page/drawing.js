@@ -17,7 +17,9 @@ class Drawing {
     const { gl } = this;
     this.programs = {};
     this.marcher([]);
-    gl.bindVertexArray(gl.createVertexArray());
+    this.array = gl.createVertexArray();
+    gl.bindVertexArray(this.array);
+    this.lines = null;
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     this.mean = gl.getExtension("EXT_color_buffer_float") && { width: 0, height: 0, buffer: gl.createFramebuffer(), program: this.link("showing") };
     const names = gl.getExtension("WEBGL_debug_renderer_info");
@@ -38,10 +40,10 @@ class Drawing {
     return (this.programs[words] = { program, places });
   }
 
-  link(fragment, words = []) {
+  link(fragment, words = [], vertex = "vertex") {
     const { gl } = this, defined = words.map((word) => `#define ${word}\n`).join("");
     const program = gl.createProgram();
-    for (const [kind, id] of [[gl.VERTEX_SHADER, "vertex"], [gl.FRAGMENT_SHADER, fragment]]) {
+    for (const [kind, id] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
       const shader = gl.createShader(kind);
       gl.shaderSource(shader, document.getElementById(id).textContent.trim().replace("\n", `\n${defined}`));
       gl.compileShader(shader);
@@ -82,7 +84,10 @@ class Drawing {
     const { gl } = this, { shape, voxels } = volume, old = volume.textures || {};
     const size = shape[1] * shape[2];
     volume.only = Math.max(0, volume.phases.findIndex((phase) => phase.visible));
-    const several = volume.phases.filter((phase) => phase.visible).length > 1;
+    const shown = volume.phases.filter((phase) => phase.visible), several = shown.length > 1;
+    const sheer = (phase) => phase.opacity < 1;
+    volume.cloud = volume.kind === "labels" ? shown.length > 0 && shown.every(sheer) : sheer(volume);
+    volume.veiled = volume.kind === "labels" && !volume.cloud && shown.some(sheer);
     volume.mode = { grey: 2, colour: 3 }[volume.kind] ?? (several ? 1 : 0);
     const blocks = new Blocks(shape), field = this.fieldTexture(old.field, volume, blocks, TABLE.levels);
     let source = old.source ?? null;
@@ -101,8 +106,12 @@ class Drawing {
   // How much is drawn, blurred, with coarser levels; blocks that hold something are marked.
   fieldTexture(old, grid, blocks, levels, place = {}) {
     const { gl } = this, size = grid.shape[1] * grid.shape[2], slice = new Uint8Array(size), other = new Uint8Array(size);
-    const table = drawnTable(grid), least = grid.opacity < 1 ? 0 : 127;
+    const table = surfaceTable(grid), least = grid.cloud ? 0 : 127;
     const fill = (z) => {
+      if (grid.veiled) {
+        for (let i = 0; i < size; i++) other[i] = isVeil(grid, grid.voxels[z * size + i]) ? 255 : 0;
+        blocks.add(other, z, grid.shape, least, place);
+      }
       fieldSlice(grid, table, z, slice, other);
       blocks.add(slice, z, grid.shape, least, place);
       return slice;
@@ -164,12 +173,22 @@ class Drawing {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
+  drawLines(volume, place, view, jitter) {
+    const { gl } = this;
+    this.lines ||= new LineLayer(this);
+    this.lines.resize(gl.canvas.width, gl.canvas.height);
+    const reach = this.lines.draw(volume, place, view, jitter, view.density);
+    gl.bindVertexArray(this.array);
+    return reach;
+  }
+
   // Draw a volume into (left, bottom, width, height) of the canvas; `blend` below 1 mixes it with what is there.
-  // view: { camera, cut, look, pixel (its edge in the volume's unit), foot (free pixels below) }; `pass` from 0 on is one of
+  // view: { camera, cut, look, pixel (its edge in the volume's unit), foot (free pixels below), density (pixels a CSS pixel) }; `pass` from 0 on is one of
   // the refined light. `count` draws the number of samples in place of light, and to the canvas at once.
   draw(volume, [left, bottom, width, height], view, { jitter = [0, 0], blend = 1, skip = true, count = false, pass = -1 } = {}) {
     const { gl } = this, { textures, fine } = volume, averaged = Boolean(this.mean) && !count;
-    const wanted = { FINE: fine, FIELD: textures.tint, REFINED: pass >= 0 };
+    const lined = volume.lines && volume.lines.shown, reach = lined ? this.drawLines(volume, [left, bottom, width, height], view, jitter) : 0;
+    const wanted = { LINES: lined, FINE: fine, FIELD: textures.tint, VEILED: volume.veiled, REFINED: pass >= 0 };
     const { program, places } = this.marcher(Object.keys(wanted).filter((word) => wanted[word]));
     gl.useProgram(program);
     gl.bindFramebuffer(gl.FRAMEBUFFER, averaged ? this.mean.buffer : null);
@@ -192,16 +211,27 @@ class Drawing {
     gl.uniform2fv(places.uWindow, volume.window.map((value) => value / 255));
     gl.uniform2fv(places.uOrigin, [left, bottom]);
     gl.uniform2fv(places.uJitter, jitter);
-    const numbers = { uOpacity: volume.opacity < 1 ? 0.02 + 0.6 * volume.opacity ** 2 : 1, uHeight: height, uFine: fine ? fine.fine : 0 };
+    const dense = ({ visible = true, opacity }) => (visible && opacity < 1 ? 0.02 + 0.6 * opacity ** 2 : 0);
+    gl.uniform1fv(places.uDense, volume.phases.map((phase) => dense(volume.kind === "labels" ? phase : volume)));
+    const numbers = { uHeight: height, uFine: fine ? fine.fine : 0 };
     for (const [name, value] of Object.entries(numbers)) gl.uniform1f(places[name], value);
     const whole = { uKind: textures.tint ? 4 : volume.mode, uPass: pass, uLinear: averaged, uOnly: volume.kind === "labels" ? volume.only : 1, uLevels: TABLE.levels, uSkip: skip,
-      uCount: count, uField: 0, uSource: 1, uBlocks: 2, uFineField: 3, uFineSource: 4 };
+      uCount: count, uCloud: volume.cloud, uField: 0, uSource: 1, uBlocks: 2, uFineField: 3, uFineSource: 4, uLabels: 5 };
     for (const [name, value] of Object.entries(whole)) gl.uniform1i(places[name], Number(value));
     const { field } = textures;
-    [field, textures.tint || textures.source, textures.blocks, textures.fineField, textures.fineSource].forEach((texture, i) => {
+    [field, textures.tint || textures.source, textures.blocks, textures.fineField, textures.fineSource, textures.source].forEach((texture, i) => {
       gl.activeTexture(gl.TEXTURE0 + i);
       gl.bindTexture(gl.TEXTURE_3D, texture || field);
     });
+    if (lined) {
+      gl.uniform1f(places.uLineReach, reach);
+      gl.uniform1i(places.uLineColour, 6);
+      gl.uniform1i(places.uLineDepth, 7);
+      [this.lines.colour, this.lines.depth].forEach((texture, i) => {
+        gl.activeTexture(gl.TEXTURE6 + i);
+        gl.bindTexture(gl.TEXTURE_2D, texture);
+      });
+    }
     gl.viewport(left, bottom, width, height);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA);

@@ -1,13 +1,14 @@
 #version 300 es
 // The ray marcher and the light of the page: the same model as rays.py and shading.py, where it is explained.
 // Positions are in voxels (x, y, z), the corner of voxel 0 at 0; t is a length in smallest voxel edges.
-// FINE, FIELD and REFINED are defined where they are wanted: a processor that draws runs both sides of a branch.
+// FINE, FIELD, VEILED, LINES and REFINED are defined where they are wanted: a processor that draws runs both sides of a branch.
 precision highp float;
 precision highp int;
 precision highp sampler3D;
 
 uniform sampler3D uField;    // how much is drawn, 0..1, with means over 2, 4, ... voxels in its levels
 uniform sampler3D uSource;   // labels, grey or colour
+uniform sampler3D uLabels;   // labels, where several phases are drawn
 uniform sampler3D uBlocks;   // blocks of 4 voxels: how many away the nearest with a surface is
 uniform sampler3D uFineField, uFineSource;  // the same of a box in finer voxels
 uniform vec3 uFineLow, uFineHigh;  // that box, in voxels of the whole
@@ -25,9 +26,15 @@ uniform int uKind;           // 0: one phase, 1: labels, 2: grey, 3: colour, 4: 
 uniform int uPass;           // of the refined light
 uniform int uOnly, uLevels;
 uniform vec2 uWindow;        // greys that are drawn darkest and brightest
-uniform float uOpacity;      // below 1: absorption by a voxel of what is drawn
+uniform bool uCloud;         // all that is drawn is translucent
+uniform float uDense[16];    // absorption of a phase by a voxel's edge, where it is translucent
 uniform vec2 uOrigin, uJitter;
 uniform float uHeight;
+#ifdef LINES
+uniform sampler2D uLineColour;
+uniform highp sampler2D uLineDepth;
+uniform float uLineReach;    // along the ray, where that depth is 1
+#endif
 uniform bool uSkip, uCount, uLinear;
 out vec4 colour;
 
@@ -37,6 +44,8 @@ const float CONE = 0.16;     // the quick light's towards the lamp
 const float DISC = 0.14;     // half the angle under which the lamp is seen, in the refined light
 const float SKY = 48.0;      // voxels as far as material keeps the sky out
 float samples = 0.0;
+float reached = FAR;         // where the ray meets a surface, or a line before it
+vec3 beyond;                 // light of what is there: the background, or the line
 
 #ifdef FINE
 bool isFine(vec3 p) {
@@ -280,16 +289,20 @@ vec3 toSrgb(vec3 light) {
   return mix(1.055 * pow(light, vec3(1.0 / 2.4)) - 0.055, light * 12.92, lessThanEqual(light, vec3(0.0031308)));
 }
 
+int labelAt(vec3 p) {
+#ifdef FINE
+  if (isFine(p)) return int(texelFetch(uFineSource, ivec3((p - uFineLow) * uFine), 0).r * 255.0 + 0.5);
+#endif
+  return int(texelFetch(uLabels, clamp(ivec3(floor(p)), ivec3(0), ivec3(uSides) - 1), 0).r * 255.0 + 0.5);
+}
+
 // Colour and finish of what lies at a point.
 vec3 substance(vec3 p, out vec4 finish) {
   finish = uFinish[uOnly];
   if (uKind == 0) return uAlbedo[uOnly];
   ivec3 voxel = clamp(ivec3(floor(p)), ivec3(0), ivec3(uSides) - 1);
   if (uKind == 1) {
-    int label = int(texelFetch(uSource, voxel, 0).r * 255.0 + 0.5);
-#ifdef FINE
-    if (isFine(p)) label = int(texelFetch(uFineSource, ivec3((p - uFineLow) * uFine), 0).r * 255.0 + 0.5);
-#endif
+    int label = labelAt(p);
     finish = uFinish[label];
     return uAlbedo[label];
   }
@@ -326,7 +339,8 @@ vec3 solid(vec3 origin) {
   vec3 normal;
   bool flatFace;
   float t = hit(origin, normal, flatFace);
-  if (t >= FAR) return uBackground;
+  if (t >= reached) return beyond;
+  reached = t;
   vec3 p = origin + t * uDirection, step = normal / uStretch * grain(origin + t * uDirection);
   vec4 finish;
   vec3 albedo = substance(p - (uKind == 2 || uKind == 3 ? 0.5 : 0.25) * step, finish);
@@ -348,7 +362,7 @@ vec3 cloud(vec3 origin) {
   for (int part = 0; part < count; part++) {
     vec2 ends = part == 0 ? parts.xy : parts.zw;
     float t = ends.x;
-    for (int i = 0; i < 4096 && t < ends.y && left > 0.01; i++) {
+    for (int i = 0; i < 4096 && t < min(ends.y, reached) && left > 0.01; i++) {
       vec3 p = origin + t * uDirection;
       float ahead = uSkip ? blockAhead(p) : -1.0;
       if (ahead > 0.0) {
@@ -360,20 +374,61 @@ vec3 cloud(vec3 origin) {
         vec4 finish;
         vec3 albedo = substance(p, finish);
         float faces = abs(dot(gradient(p), uLamp));
-        float taken = 1.0 - exp(-uOpacity * there * 0.75);
+        float taken = 1.0 - exp(-uDense[uKind == 1 ? labelAt(p) : uOnly] * there * 0.75);
         light += left * taken * albedo * (0.5 * uStrength.x * (0.6 + faces) + uStrength.y * uShade + uStrength.z);
         left *= 1.0 - taken;
       }
       t += 0.75;
     }
   }
-  return light + left * uBackground;
+  return light + left * beyond;
 }
+
+#ifdef VEILED
+// Light of the translucent phases before the surface that the ray meets, and how much of that surface's they let through.
+vec4 veil(vec3 origin) {
+  vec4 parts;
+  vec3 normals[2], light = vec3(0.0);
+  int count = stretches(origin, parts, normals);
+  float left = 1.0;
+  for (int part = 0; part < count; part++) {
+    vec2 ends = part == 0 ? parts.xy : parts.zw;
+    float t = ends.x + 0.375, stop = min(ends.y, reached);
+    for (int i = 0; i < 4096 && t < stop && left > 0.01; i++) {
+      vec3 p = origin + t * uDirection;
+      float ahead = uSkip ? blockAhead(p) : -1.0;
+      if (ahead > 0.0) {
+        t += ahead;
+        continue;
+      }
+      samples += 1.0;
+      int label = labelAt(p);
+      float taken = 1.0 - exp(-uDense[label] * 0.75);
+      light += left * taken * uAlbedo[label] * (0.5 * uStrength.x + uStrength.y * uShade + uStrength.z);
+      left *= 1.0 - taken;
+      t += 0.75;
+    }
+  }
+  return vec4(light, left);
+}
+#endif
 
 void main() {
   vec2 at = gl_FragCoord.xy - uOrigin;
   vec3 origin = uCorner + (at.x - 0.5 + uJitter.x) * uRight + (uHeight - 0.5 - at.y + uJitter.y) * uDown;
-  vec3 light = uOpacity < 1.0 ? cloud(origin) : solid(origin);
+  beyond = uBackground;
+#ifdef LINES
+  vec4 line = texelFetch(uLineColour, ivec2(gl_FragCoord.xy), 0);
+  if (line.a > 0.5) {
+    reached = texelFetch(uLineDepth, ivec2(gl_FragCoord.xy), 0).r * uLineReach;
+    beyond = toLinear(line.rgb);
+  }
+#endif
+  vec3 light = uCloud ? cloud(origin) : solid(origin);
+#ifdef VEILED
+  vec4 before = veil(origin);
+  light = before.rgb + before.a * light;
+#endif
   if (uCount) {
     float many = min(samples, 65535.0);
     colour = vec4(floor(many / 256.0) / 255.0, mod(many, 256.0) / 255.0, 0.0, 1.0);

@@ -16,8 +16,10 @@ from trabecula.io.units import has_length, to_metres
 from trabecula.measure.registry import DESCRIPTORS
 from trabecula.view.looks import find_look
 from trabecula.view.page.document import Live, Page, document, pack
+from trabecula.view.page.endless import as_endless
 from trabecula.view.page.fitting import FittedVolume, fit_field, fit_volume
 from trabecula.view.page.joining import join_labels
+from trabecula.view.page.lines import pack_lines
 from trabecula.view.page.server import Boxes, Triple
 from trabecula.view.volume import visible_phases
 
@@ -39,6 +41,10 @@ def view(
     look: str = "bone",
     certificate: Any = None,
     fields: Mapping[str, Image | ArrayLike] | None = None,
+    streamlines: Sequence[ArrayLike] | None = None,
+    endless: Any = None,
+    side: int = 64,
+    seed: int = 0,
     title: str | None = None,
     height: int = 640,
 ) -> Page:
@@ -59,6 +65,16 @@ def view(
     fields : mapping of name to grey Image or array, (Z, Y, X), optional
         Thickness, velocity, stress, source map: each may colour the labels of its shape, and the
         probe reads it. The first one does at the beginning.
+    streamlines : sequence of (N, 4) arrays, optional
+        Of the first image, labels: what `tb.measure.streamlines` returns. They are drawn among
+        its material, coloured by speed.
+    endless : model, optional
+        A trained model of method "gan" (`tb.load_model("bone")`), labels by the sub-pixel
+        generator: the page makes its material, with another seed, size, place or porosity as one
+        asks for it. It stands beside the images, of which the first is its exemplar: its
+        two-point function is drawn.
+    side, seed : int
+        Of the first box of endless material: 32, 64, 96 or 128 voxels an edge.
     title : str, optional
         Of the page. Default: the names.
     height : int
@@ -79,29 +95,38 @@ def view(
         image if isinstance(image, Slabs) else as_image(image, name=f"image {index}")
         for index, image in enumerate(images)
     ]
-    if not 1 <= len(several) <= MOST:
-        raise InputError(f"a page shows 1 to {MOST} images, got {len(several)}")
+    made = [] if endless is None else [as_endless(endless, next(iter(several), None), side, seed)]
+    if not 1 <= len(several) + len(made) <= MOST:
+        raise InputError(f"a page shows 1 to {MOST} images, got {len(several) + len(made)}")
     find_look(look)
     if not 200 <= height <= 4000:
         raise InputError(f"height {height} is outside 200..4000 pixels")
     named = _names(names, len(several))
-    title = _text(" | ".join(named) if title is None else title)
+    titles = [*named, *(f"{each.settings['name']}, endless" for each in made)]
+    title = _text(" | ".join(titles) if title is None else title)
     figures = key_figures(certificate, len(several))
-    scales = _scales(several)
+    scales = _scales([*(image.unit for image in several), *(one.settings["unit"] for one in made)])
     tints = _check_fields(fields or {}, several)
     volumes, texts, packed = [], [], dict[str, str]()
     for k, (image, name, scale, rows) in enumerate(
-        zip(several, named, scales or [1.0] * len(several), figures, strict=True)
+        zip(several, named, (scales or [1.0] * MOST)[: len(several)], figures, strict=True)
     ):
         volume, text, found = _volume(image, name, scale, rows, tints[k])
-        packed |= {f"{k}-{j}": each for j, each in enumerate(found)}
-        if scales is None and len(several) > 1:
+        packed |= {f"field-{k}-{j}": each for j, each in enumerate(found)}
+        if streamlines is not None and k == 0:
+            volume["lines"], values = _lines(streamlines, image, volume)
+            packed["lines-0"] = pack(values)
+        if scales is None:
             volume["notes"].append(
                 "no common unit: each volume fills its place, they are not to one scale"
             )
         volumes.append(volume)
         texts.append(text)
-    about = {"look": look, "aligned": scales is not None, "volumes": volumes}
+    about: dict[str, Any] = {"look": look, "aligned": scales is not None, "volumes": volumes}
+    for each in made:
+        about["endless"] = each.about(len(volumes))
+        volumes.append(each.volume((scales or [1.0])[-1]))
+        packed |= {name: pack(values) for name, values in each.blocks().items()}
     html = document(title, about, texts, packed)
     boxes, fine = _boxes(several, volumes), [_has_detail(volume) for volume in volumes]
     if not any(fine):
@@ -165,6 +190,18 @@ def _check_fields(
     return found
 
 
+def _lines(
+    lines: Sequence[ArrayLike], image: Image | Slabs, volume: dict[str, Any]
+) -> tuple[dict[str, Any], np.ndarray]:
+    """Return the lines of a volume as the page holds them; the facts of the volume name them."""
+    if image.kind != "labels" or image.ndim != 3:
+        raise InputError(f"streamlines are of a volume of labels, the first image is {image.kind}")
+    about, values = pack_lines(lines, image.shape, volume["block"])
+    many, most = len(about["points"]), about["most"]
+    volume["facts"].append(["Streamlines", f"{many}, coloured from rest to {most:.3g} of the mean"])
+    return about, values
+
+
 def _names(names: Sequence[str] | None, count: int) -> list[str]:
     if names is None:
         return [f"image {k}" for k in range(1, count + 1)]
@@ -178,9 +215,8 @@ def _text(name: str) -> str:
     return str(name).encode(errors="replace").decode()
 
 
-def _scales(images: Sequence[Image | Slabs]) -> list[float] | None:
-    """Return the lengths of each image's unit in a shared one; None where they share none."""
-    units = [image.unit for image in images]
+def _scales(units: Sequence[str]) -> list[float] | None:
+    """Return the lengths of each volume's unit in a shared one; None where they share none."""
     if len(set(units)) == 1:
         return [1.0] * len(units)
     return [to_metres(unit) for unit in units] if all(has_length(unit) for unit in units) else None

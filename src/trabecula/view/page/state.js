@@ -40,12 +40,21 @@ function settings(app) {
       ([azimuth, elevation, offset]) => Object.assign(cut, { azimuth, elevation, offset })),
     numbers("slices", [share, share, share], () => app.focus, (focus) => { app.focus = focus; }),
   ];
+  if (app.endless) {
+    const { wanted } = app.endless, far = inRange(-(2 ** 30), 2 ** 30);
+    const checks = [isSeed, (side) => SIDES.includes(side), inRange(-1, 1), ...Array(3).fill((at) => far(at) && at % CELLS === 0)];
+    all.push(numbers("made", checks, () => [wanted.seed, wanted.side, wanted.porosity, ...wanted.corner],
+      ([seed, side, porosity, ...corner]) => { Object.assign(wanted, { seed, side, porosity, corner }); app.endless.show(); }));
+  }
   app.volumes.forEach((volume, i) => {
     const camera = () => app.cameras[i], phases = () => volume.phases;
+    const sheer = () => (volume.kind === "labels" ? volume.phases : [volume]);
     all.push(
       numbers(`camera${i}`, CAMERA, () => [camera().azimuth, camera().elevation, camera().zoom, ...camera().pan],
         ([azimuth, elevation, zoom, ...pan]) => Object.assign(camera(), { azimuth, elevation, zoom, pan })),
-      numbers(`opacity${i}`, [inRange(0.05, 1)], () => [volume.opacity], ([opacity]) => { volume.opacity = opacity; }),
+      numbers(`opacity${i}`, sheer().map(() => inRange(0.05, 1)), () => sheer().map((of) => of.opacity),
+        (given) => sheer().forEach((of, k) => { of.opacity = given[k]; })),
+      ...(volume.lines ? [flag(`lines${i}`, () => volume.lines.shown, (shown) => { volume.lines.shown = shown; })] : []),
       numbers(`ramp${i}`, [byte, byte, byte, byte], () => [volume.low, volume.high, ...volume.window],
         ([low, high, ...window]) => Object.assign(volume, { low, high, window })),
       numbers(`shown${i}`, phases().map(() => share), () => phases().map((phase) => Number(phase.visible)),

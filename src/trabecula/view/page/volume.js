@@ -31,6 +31,12 @@ async function unpack(element, size) {
   return voxels;
 }
 
+// Points of lines: all x, all y, all z in parts of a voxel, all speeds.
+async function unpackLines(element, { points }) {
+  const count = 4 * points.reduce((sum, many) => sum + many, 0), bytes = new DataView((await unpack(element, 2 * count)).buffer);
+  return Uint16Array.from({ length: count }, (_, k) => bytes.getUint16(2 * k, true));
+}
+
 // Of a byte of labels the last bit says that the voxel is a block which only a thin wall makes drawn (joining.py).
 const LABEL = 127;
 
@@ -43,6 +49,14 @@ function drawnTable({ kind, phases, low, high }) {
     else table[v] = v >= low ? 255 : 0;
   }
   return table;
+}
+
+const isVeil = ({ phases }, value) => Boolean(phases[value & LABEL]?.visible) && phases[value & LABEL].opacity < 1;
+
+// The same of what has a surface: of labels without the translucent phases, where others are opaque.
+function surfaceTable(volume) {
+  const table = drawnTable(volume);
+  return volume.veiled ? table.map((drawn, value) => (isVeil(volume, value) ? 0 : drawn)) : table;
 }
 
 // The field of one slice across z. Labels are blurred as blur_axis does for stills, so that no staircase is left: along z
@@ -87,8 +101,8 @@ function brightness(voxels, at) {
 
 // A slice of labels in which hidden voxels beside drawn ones take theirs: blurring may move a surface by half a voxel.
 // `values` are what is spread: the labels themselves, or a field.
-function spreadSlice({ voxels, shape: [depth, height, width], phases }, values, z, out) {
-  const seen = Array.from({ length: 256 }, (_, v) => phases[v & LABEL]?.visible), size = height * width, start = z * size;
+function spreadSlice(volume, values, z, out) {
+  const { voxels, shape: [depth, height, width] } = volume, seen = surfaceTable(volume), size = height * width, start = z * size;
   const mask = values === voxels ? LABEL : 255;
   for (let y = 0, i = 0; y < height; y++) {
     for (let x = 0; x < width; x++, i++) {
