@@ -143,7 +143,11 @@ class Diagram:
         return np.searchsorted(first, np.arange(count + 1)), second.astype(np.int32)
 
     def face_distance(
-        self, grid: PointGrid, owner: np.ndarray, touching: tuple[np.ndarray, np.ndarray], radius: float
+        self,
+        grid: PointGrid,
+        owner: np.ndarray,
+        touching: tuple[np.ndarray, np.ndarray],
+        radius: float,
     ) -> np.ndarray:
         """Return the distance of every point of a grid to the faces of its cell, (Z, Y, X) float32.
 
