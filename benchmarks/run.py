@@ -96,6 +96,7 @@ CASES: dict[str, Callable[[], None]] = {
     "scan": scan.segmenters,
     "texture_fidelity": texture.fidelity,
     "texture_materials": texture.materials,
+    "texture_crops": texture.crops,
     "texture_novelty": texture.novelty,
     "texture_repeat": texture.repeat,
     "texture_energy": texture.energy,

@@ -32,9 +32,7 @@ def speed() -> None:
             (120, _bone(60), name, settings)
             for name, settings in presets("fast", "default", "best")
         ),
-        (120, _bone(60), "schedule=short", {"schedule": "short"}),
-        *((256, _bone(100), name, settings) for name, settings in presets("fast")),
-        (256, _bone(100), "schedule=short", {"schedule": "short"}),
+        *((256, _bone(100), name, settings) for name, settings in presets("fast", "default")),
     ]:
         title = f"{side}^3 from {exemplar.shape[0]}^3, {name}"
         cells, stages = _measured(side, exemplar, settings, base)

@@ -291,7 +291,7 @@ def test_new_material_is_the_same_in_scratch_files(model, whole, tmp_path):
 @pytest.mark.parametrize(
     ("owner", "name", "call", "left"),
     [
-        (novel_layout, "transport_neighbourhoods", 13, 18),
+        (novel_layout, "transport_neighbourhoods", 13, 8),
         (novel_layout, "coherent_search", 6, 2),
         (novel_layout, "coherent_search", 7, 1),
         (Labels, "to_values", 1, 4),  # three counts of small bodies before the result

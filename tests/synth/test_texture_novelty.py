@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import trabecula as tb
 from trabecula.core.seeds import key
+from trabecula.synth.api.registry import recorded_method
 from trabecula.synth.shared import novel_layout
 from trabecula.synth.shared.content.fields import FULL, UNIT, phase_fields, quantise
 from trabecula.synth.shared.statistics.pairs import AXES, DIAGONAL, Pairs
@@ -16,6 +17,7 @@ from trabecula.synth.shared.statistics.sliced import rotation, transport_neighbo
 from trabecula.synth.shared.statistics.slices import Transport, slice_target
 from trabecula.synth.shared.statistics.two_point import correlations_of
 from trabecula.synth.shared.statistics.two_point_steps import least_squares, misfit, two_point_step
+from trabecula.synth.texture.config import TextureConfig
 
 OPEN, AROUND = (False, False, False), (True, True, True)
 HARD = 1e-3  # a soft step so narrow that the indicator is that of labels
@@ -342,3 +344,18 @@ def test_exemplars_without_an_interface_are_laid_out_on_the_coarsest_level():
     blocks = [tb.Image(np.full((48, 48, 48), label, np.uint8), "labels") for label in (0, 1)]
     assert novel_layout.structure_length(blocks) == np.inf
     assert novel_layout.top_for(blocks, "structure") == 2
+
+
+def test_a_recipe_of_before_may_name_one_of_two_schedules():
+    for schedule in ("short", "long"):
+        learned = recorded_method("texture", {"schedule": schedule, "layout": "structure"})
+        assert learned.config.layout == "structure"
+    assert "schedule" not in TextureConfig.recorded({"schedule": "short"})
+
+
+def test_the_last_pass_begins_with_the_matches_of_the_one_before():
+    last = novel_layout.passes(1.0, 1, "structure")[-1]
+    assert last.carried
+    assert last.sweeps(0, 2) == 2
+    assert not any(part.carried for part in novel_layout.passes(1.0, 1, "structure")[:-1])
+    assert not any(part.carried for part in novel_layout.passes(1.0, 2, "coarse"))

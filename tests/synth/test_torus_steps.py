@@ -7,10 +7,19 @@ import pytest
 
 import trabecula as tb
 from trabecula.synth.shared.content.fields import FULL, UNIT
-from trabecula.synth.shared.statistics.pairs import DIAGONAL, Pairs
-from trabecula.synth.shared.statistics.torus_steps import TorusPairs, torus_step, torus_step_stages
-from trabecula.synth.shared.statistics.two_point import correlations_of
-from trabecula.synth.shared.statistics.two_point_steps import accumulate_debt, misfit
+from trabecula.synth.shared.statistics.pairs import DIAGONAL, LINES, Pairs
+from trabecula.synth.shared.statistics.torus_steps import (
+    Doubled,
+    TorusPairs,
+    torus_step,
+    torus_step_stages,
+)
+from trabecula.synth.shared.statistics.two_point import BlockMeans, correlations_of
+from trabecula.synth.shared.statistics.two_point_steps import (
+    accumulate_debt,
+    misfit,
+    two_point_step,
+)
 from trabecula.testing.peak import peak_bytes
 
 AROUND = (True, True, True)
@@ -63,6 +72,80 @@ def test_steps_bring_the_two_point_function_to_the_exemplars():
         size.append(np.linalg.norm(misfit(field, target, periodic=AROUND)))
     assert size[1] < 0.65 * size[0]
     assert size[-1] < 0.35 * size[0]
+
+
+def diagonal(shape, sign, seed):
+    """A wrapping field whose ridges run along z = sign * x."""
+    noise = np.random.default_rng(seed).standard_normal((1, *shape))
+    for step in (1, 2, 4):
+        noise = noise + np.roll(noise, (step, sign * step), (1, 3))
+    return np.clip(np.rint(noise / noise.std() * 50), -FULL, FULL).astype(np.int8)
+
+
+def squares(curves):
+    """The sum of squares of the two-point function in every direction, (13,)."""
+    return (curves.reshape(DIAGONAL, -1)[:, 1:] ** 2).sum(axis=1)
+
+
+ONE, OTHER = LINES.index((1, 0, 1)), LINES.index((1, 0, -1))
+
+
+@pytest.mark.parametrize("step", [two_point_step, torus_step], ids=["open", "torus"])
+def test_one_of_two_mirrored_diagonals_is_pushed_alone(step):
+    """A field with ridges along one diagonal, and a target with ridges along the other."""
+    field = diagonal((24, 24, 24), 1, 1)
+    target = correlations_of(
+        [diagonal((24, 24, 24), -1, 2)], softness=120, r_max=5, directions=DIAGONAL
+    )
+    before = squares(misfit(field, target, periodic=AROUND))
+    for _ in range(3):
+        if step is torus_step:
+            field = rounded(torus_step(field, target)[0])
+        else:
+            field = rounded(two_point_step(field, target, periodic=AROUND))
+    after = squares(misfit(field, target, periodic=AROUND))
+    assert after[ONE] < 0.7 * before[ONE]
+    assert after[OTHER] < 0.7 * before[OTHER]
+
+
+def test_a_convolution_is_the_gradient_of_the_pairs_that_it_weighs():
+    """Against finite differences, with weights of their own for every direction."""
+    rng = np.random.default_rng(3)
+    pairs = Pairs((8, 9, 10), 3, AROUND, directions=DIAGONAL)
+    weights = rng.normal(size=pairs.bins)
+    values, way = rng.random((2, *pairs.shape)).astype(np.float32)
+
+    def weighed(values):
+        spectrum = pairs.forward(values)
+        return float(pairs.curve(spectrum, spectrum) * pairs.fits @ weights)
+
+    slope = 2 * pairs.convolve(pairs.forward(values), weights)
+    there, back = weighed(values + 0.05 * way), weighed(values - 0.05 * way)
+    assert (there - back) / 0.1 == pytest.approx(float((slope * way).sum()), rel=1e-3)
+
+
+def test_blocks_are_means_and_their_fields_double_back():
+    values = np.random.default_rng(4).random((6, 5, 8)).astype(np.float32)
+    blocks = BlockMeans(values.__getitem__, values.shape)
+    made = np.stack([blocks(z) for z in range(3)])
+    whole = np.pad(values, ((0, 0), (0, 1), (0, 0)), mode="edge")
+    assert np.allclose(made, whole.reshape(3, 2, 3, 2, 4, 2).mean(axis=(1, 3, 5)))
+    level = Doubled(np.full((3, 3, 4), 0.5, np.float32), values.shape)
+    assert np.all(np.stack([level[z] for z in range(6)]) == 0.5)
+    ramp = Doubled(np.arange(8, dtype=np.float32).reshape(8, 1, 1), (16, 2, 2))
+    assert [ramp[z][0, 0] for z in range(2, 8)] == [0.75, 1.25, 1.75, 2.25, 2.75, 3.25]
+
+
+@pytest.mark.parametrize("shape", [(28, 32, 36), (27, 31, 36)])
+def test_steps_in_blocks_bring_the_two_point_function_to_the_exemplars(shape):
+    exemplar, field = smooth((28, 28, 28), 12, radius=2), smooth(shape, 13, radius=3)
+    target = correlations_of([exemplar], softness=120, r_max=4, directions=DIAGONAL, blocks=2)
+    aim = correlations_of([exemplar], softness=120, r_max=8, directions=DIAGONAL)
+    size = [np.linalg.norm(misfit(field, aim, periodic=AROUND))]
+    for _ in range(4):
+        field = rounded(torus_step(field, target)[0])
+        size.append(np.linalg.norm(misfit(field, aim, periodic=AROUND)))
+    assert size[-1] < 0.4 * size[0]
 
 
 def test_a_field_of_one_phase_stays():

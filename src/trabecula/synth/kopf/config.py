@@ -28,9 +28,6 @@ class RelativeSettings:
     layout: str = "structure"
     """How new material begins, as of `texture`."""
 
-    short: bool = False
-    """Whether it spends little, as the short schedule of `texture`."""
-
     clip: float = 4.2
     """Signed distance at which the field saturates, voxels."""
 

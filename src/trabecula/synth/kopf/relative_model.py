@@ -74,7 +74,7 @@ class RelativeModel:
             aims.append(_aim_at_picture(learnt, level, adapted))
             field = halve(field)
         small = {label: learn_small_bodies([adapted.image], label) for label in present}
-        slices = novel_layout.slices_for([own])
+        slices = novel_layout.slices_for([own], settings.layout)
         return cls(adapted, tuple(aims), slices, schedule, small, settings)
 
     @property
@@ -153,7 +153,7 @@ def _move_target(
     change = picture.two_point[:, : reach + 1] - own.two_point[:, : reach + 1]
     change -= change[:, :1] * np.ones(reach + 1)  # the fractions differ by a voxel at most
     change[:, reach] = 0
-    distances = np.arange(target.r_max + 1) * 2**level
+    distances = np.arange(target.r_max + 1) * 2**level * target.blocks
     share = np.minimum(1, distances / np.mean(picture.lengths))
     along = [share * np.interp(distances, np.arange(reach + 1), line, right=0.0) for line in change]
     rows = [

@@ -28,7 +28,7 @@ from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_matches, targets_of
 from trabecula.synth.shared.matching.region import Region, has_cube
 from trabecula.synth.shared.matching.rounds import cast_votes, match_votes, refine_field
-from trabecula.synth.shared.matching.sources import Candidates, Stack
+from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
 from trabecula.synth.shared.slabs import complement, count_true
 from trabecula.synth.shared.stages import LevelMemory, layout_stages, region_arrays
 from trabecula.synth.shared.statistics.density_slopes import DensitySlopes
@@ -70,7 +70,9 @@ _AROUND = (True, True, True)
 _SLICED_WIDTHS = (6, 4)  # of the neighbourhoods of sliced rounds: the first for which there is room
 _ROOM = 4
 _STRENGTH, _SLICED_STEP = 2.5, 2
-_SLICED_ROUNDS, _SHORT_ROUNDS, _STEP_EVERY = 30, 20, 5
+_STEP_EVERY = 5  # sliced rounds
+# by layout: sliced rounds, and at most so many components of their neighbourhoods
+_SLICED = {"coarse": (30, 64), "structure": (20, 32)}
 _MOVED = 16  # rounds on the coarsest level at hardly any novelty
 _WIDE_FROM = 5  # so many of them let finer levels have wide neighbourhoods
 _WIDEST = 8  # voxels of the widest neighbourhood
@@ -83,8 +85,6 @@ class NovelSettings(Protocol):
 
     @property
     def layout(self) -> str: ...
-    @property
-    def short(self) -> bool: ...
     @property
     def clip(self) -> float: ...
     @property
@@ -108,9 +108,8 @@ class Pass:
     `beyond` says how far the last round aims beyond the target, in what the rounds before fell
     short of it: the next pass takes some of that back. Nothing comes after the last pass, which is
     on target. `roughest` is the most interface that a step may leave, over the target's: of a pass
-    that goes beyond, a vote smooths some away. `first` and `later` are the sweeps of the search in
-    the first round, which starts from random matches, and in others, over those of the settings;
-    `tries` the random candidates, over theirs.
+    that goes beyond, a vote smooths some away. The first round starts from random matches, or from
+    those of the pass before where they are `carried`, and searches `first` times as long.
     """
 
     level: int
@@ -120,13 +119,12 @@ class Pass:
     steps: int
     beyond: float = 1.0
     roughest: float = 1.0
-    first: float = 3.0
-    later: float = 1.0
-    tries: float = 1.0
+    first: int = 3
+    carried: bool = False
 
     def sweeps(self, number: int, each: int) -> int:
         """Count the sweeps of round `number`, with `each` in the settings."""
-        return max(1, round(each * (self.later if number else self.first)))
+        return each if number else each * self.first
 
 
 @dataclass(frozen=True)
@@ -149,9 +147,7 @@ class Aims:
         return replace(self, histograms=histograms, correlations=correlations, interface=share)
 
 
-def passes(
-    novelty: float, top: int, layout: str, *, beside: bool = False, short: bool = False
-) -> tuple[Pass, ...]:
+def passes(novelty: float, top: int, layout: str, *, beside: bool = False) -> tuple[Pass, ...]:
     """List the passes from the level that sliced rounds lay out to the finest one.
 
     Less than full novelty lets neighbourhoods of the exemplar into the layout, and then widens
@@ -160,22 +156,25 @@ def passes(
     """
     moved = round(_MOVED * (1 - novelty))
     wide = moved >= _WIDE_FROM
-    width = WIDTH if wide else 5  # of the first pass on the finest level
+    whole = layout == "structure"
+    width = WIDTH if wide or (whole and top == 1) else 5  # of the first pass on the finest level
     coarser: list[Pass] = []
     if top == COARSEST:
         if moved:
             coarser.append(Pass(2, 8, 1, moved, 2))
         coarser.append(Pass(1, 8 if wide else WIDTH, 1, 4, 4))
-    elif layout == "structure":
-        coarser.append(Pass(1, 8, 1, 4 + moved, 2))
-        width = WIDTH
+    elif whole:
+        coarser.append(Pass(1, 8, 2, 4 + moved, 4))
     finest = (
         Pass(0, width, 2, 2, 2, beyond=1.7, roughest=1.1),
         Pass(0, WIDTH, 2, 1, 1, beyond=0.0),
     )
+    if whole:
+        finest = (
+            replace(finest[0], steps=4, first=2),
+            replace(finest[1], steps=2, first=1, carried=True),
+        )
     every = (*coarser, *finest)
-    if short:
-        every = tuple(replace(p, first=2.0, later=0.5, tries=0.5) for p in every)
     if beside:
         return tuple(replace(p, steps=0, beyond=0.0) for p in every)
     return every
@@ -226,9 +225,14 @@ def aims_of(
     config: NovelSettings,
 ) -> Aims:
     """Learn one level; `fields` are the exemplars themselves in int8, without turned copies."""
-    directions = DIAGONAL if config.layout == "structure" else AXES
+    whole = config.layout == "structure"
     correlations = correlations_at(
-        fields, level, edges=edges, clip=config.clip, directions=directions
+        fields,
+        level,
+        edges=edges,
+        clip=config.clip,
+        directions=DIAGONAL if whole else AXES,
+        blocks=2 if whole and level == 0 else 1,
     )
     waves = long_waves_of(fields, level, softness=correlations.softness)
     correlations = replace(correlations, waves=waves)
@@ -239,7 +243,7 @@ def aims_of(
         for p in schedule
         if p.level == level
     ]
-    share = interface_share(fields) if config.layout == "structure" else None
+    share = interface_share(fields) if whole else None
     return Aims(stack, stack.histograms, correlations, tuple(made), share)
 
 
@@ -261,13 +265,13 @@ def at_density(aims: Aims, slopes: DensitySlopes, t: float) -> Aims:
 
 
 def slices_for(
-    fields: Sequence[np.ndarray], weights: Sequence[np.ndarray] | None = None
+    fields: Sequence[np.ndarray], layout: str, weights: Sequence[np.ndarray] | None = None
 ) -> SliceTarget:
     """Describe the target of the sliced rounds of the coarsest level."""
     shortest = min(min(field.shape[1:]) for field in fields)
     fitting = [width for width in _SLICED_WIDTHS if shortest >= width + _ROOM]
     width = fitting[0] if fitting else _SLICED_WIDTHS[-1]
-    return slice_target(fields, width=width, weights=weights)
+    return slice_target(fields, width=width, most=_SLICED[layout][1], weights=weights)
 
 
 def torus_shape(request: Request, level: int, top: int) -> tuple[int, ...]:
@@ -359,6 +363,8 @@ class NovelRounds(CoarseToFine[Any]):
     ----------
     debt : (C, bins)
         Misfit of the two-point function that the next steps make up for.
+    on_torus : bool
+        Whether steps are those on a torus; else the older ones, which know open faces and holes.
     """
 
     def __init__(
@@ -383,17 +389,21 @@ class NovelRounds(CoarseToFine[Any]):
         unused = [iter(aim.candidates) for aim in aims]
         self.candidates = [next(unused[part.level]) for part in schedule]
         self.debt: np.ndarray | None = None
-        self.short = config.short
+        self.rounds = _SLICED[config.layout][0]
+        self.on_torus = config.layout == "structure" and request.fixed is None
 
     @property
     def names(self) -> list[str]:
-        """List the names of the layout and of the passes."""
-        return ["novel layout", *(f"novel pass {number}" for number in range(len(self.schedule)))]
+        """List the names of layout and passes: others than when there were two schedules,
+        so that unfinished runs of then begin anew.
+        """
+        kind = "new" if self.config.layout == "structure" else "novel"
+        return [f"{kind} layout", *(f"{kind} pass {n}" for n in range(len(self.schedule)))]
 
     @property
     def costs(self) -> list[float]:
         """List rounds times voxels of the layout and of the passes."""
-        layout = _SLICED_ROUNDS * math.prod(self.shapes[self.top])
+        layout = self.rounds * math.prod(self.shapes[self.top])
         return [
             layout,
             *(part.rounds * math.prod(self.shapes[part.level]) for part in self.schedule),
@@ -429,8 +439,7 @@ class NovelRounds(CoarseToFine[Any]):
         aims, region = self.aims[self.top], self.regions[self.top]
         if self.request.fixed is not None:
             aims = with_histograms(aims, targets_of(region, aims.histograms, width=WIDTH))
-        moving, rounds = region.unsettled(), _SHORT_ROUNDS if self.short else _SLICED_ROUNDS
-        return NovelLayoutStage(name, "laying out", rounds, aims, region, moving)
+        return NovelLayoutStage(name, "laying out", self.rounds, aims, region, region.unsettled())
 
     def memory(self, stage: NovelLayoutStage | PassStage) -> Iterable[Stage]:
         """Declare the arrays of the layout, or of a pass."""
@@ -474,7 +483,7 @@ class NovelRounds(CoarseToFine[Any]):
         self, shape: Sequence[int], target: Correlations, periodic: Sequence[bool]
     ) -> tuple[Stage, ...]:
         """Declare the arrays of a step on the two-point function."""
-        if self.short and self.request.fixed is None:
+        if self.on_torus:
             return torus_step_stages(shape, target)
         return step_stages(shape, target, periodic)
 
@@ -493,7 +502,12 @@ class NovelRounds(CoarseToFine[Any]):
             shape = self.shapes[finer]
             field = refine_field(field, _AROUND, distances=True, shape=shape)
         work.adopt("field", stage.grid.region.clip_to_bounds(field))
-        work.adopt("match0", random_matches(stage.grid, stage.stage))
+        if stage.part.carried:
+            old, grid = self.candidates[place - 2], stage.grid
+            match = carry_matches(before["match0"], old, grid.candidates, grid.shape, factor=1)
+        else:
+            match = random_matches(stage.grid, stage.stage)
+        work.adopt("match0", match)
 
     def _open_layout(self, stage: NovelLayoutStage) -> None:
         """Hold the known voxels, and mark those that move."""
@@ -547,7 +561,7 @@ class NovelRounds(CoarseToFine[Any]):
 
     def _layout_step(self, target: Correlations, free: np.ndarray | None) -> np.ndarray:
         """Take a step on the two-point function of the layout's field."""
-        if free is None and self.short:
+        if self.on_torus:
             return torus_step(self.work["field"], target)[0]
         return two_point_step(self.work["field"], target, periodic=_AROUND, free=free)
 
@@ -567,7 +581,7 @@ class NovelRounds(CoarseToFine[Any]):
             stage=stage.stage,
             first=100 * number + 1,
             count=part.sweeps(number, config.sweeps),
-            tries=round(config.tries * part.tries),
+            tries=config.tries,
             index_penalty=config.index_penalty,
         )
         self.weigh_matches(stage.grid, found, config.robustness)
@@ -584,7 +598,7 @@ class NovelRounds(CoarseToFine[Any]):
         """Take steps on the two-point function, the last with one on long waves."""
         part, grid, work = stage.part, stage.grid, self.work
         beyond = part.beyond if number == part.rounds - 1 else 1.0
-        if part.beyond and not self.short:
+        if part.beyond and not self.on_torus:
             work.enter("rest")
             self.debt = accumulate_debt(
                 self.debt, work["field"], stage.target, periodic=self.request.periodic
@@ -607,7 +621,7 @@ class NovelRounds(CoarseToFine[Any]):
         field of a vote may `renew`.
         """
         field = self.work["field"]
-        if self.short:
+        if self.on_torus:
             votes, self.debt = torus_step(field, target, debt=self.debt, renew=renew, beyond=beyond)
             return votes
         aim = None if self.debt is None else self.debt * beyond

@@ -49,12 +49,6 @@ class TextureConfig:
     the scan's gradients tell so many, with levels that know thin bodies from thick ones. "two": on
     two, split by Otsu's threshold, as recipes and models have it that do not name it."""
 
-    schedule: str = "long"
-    """What new material with the layout "structure" spends. "long": steps on the two-point function
-    in a direction for every band of distances, as recipes and models have it that do not name it.
-    "short": a third to half of the time, with more handles; steps in one direction, on the torus,
-    fewer sliced rounds, sweeps and tries."""
-
     first_rounds: int = 20
     """Rounds of search and vote on the coarsest level, which starts from random patches, 1 .. 100
     (section 5.1: up to 30).
@@ -197,11 +191,6 @@ class TextureConfig:
         return (_NOVELTY if applies else 0.0) if self.novelty is None else self.novelty
 
     @property
-    def short(self) -> bool:
-        """Return whether new material spends little."""
-        return self.schedule == "short" and self.layout == "structure"
-
-    @property
     def energetic(self) -> bool:
         """Return whether rounds follow the energy of equation (1) rather than the plain vote."""
         return self.gradient > 0 or self.adaptive or self.tolerance > 0
@@ -209,9 +198,10 @@ class TextureConfig:
     @classmethod
     def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Complete the settings of a recipe or a model that is older than some of them."""
-        before = {"layout": "coarse", "schedule": "long", "iso_value": "middle", "step_share": 0.5}
+        before = {"layout": "coarse", "iso_value": "middle", "step_share": 0.5}
         later = {"grading": "shift", "connected": "none", "scan_phases": "two"}
-        return {**before, **later, **settings}
+        known = {name: value for name, value in settings.items() if name not in _DROPPED}
+        return {**before, **later, **known}
 
     @classmethod
     def alternatives(cls, effort: int) -> tuple[dict[str, Any], ...]:
@@ -225,6 +215,7 @@ class TextureConfig:
 
 
 _NOVELTY = 1.0
+_DROPPED = ("schedule",)  # of recipes of before, when there were two
 
 _ALTERNATIVES: tuple[dict[str, Any], ...] = (
     {"novelty": 0.5},
@@ -244,7 +235,6 @@ _CHOICES: dict[str, tuple[Any, ...]] = {
     "scan_phases": ("found", "two"),
     "grading": ("feedback", "shift"),
     "connected": ("auto", "solid", "none"),
-    "schedule": ("short", "long"),
     "orientations": ("none", "mirrors", "upright", "all"),
 }
 

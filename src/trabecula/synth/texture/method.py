@@ -82,6 +82,14 @@ from trabecula.synth.texture.grey_levels import (
     trial_bytes,
 )
 from trabecula.synth.texture.joined import StrutField, strut_field
+from trabecula.synth.texture.own_figures import (
+    BOX,
+    SMALL_BOX,
+    Figure,
+    OwnFigures,
+    figure_stages,
+    off_line,
+)
 from trabecula.synth.texture.scan_phases import ScanPhases, find_phases
 
 # of the windows that tell dense places from sparse ones: structure lengths, voxels at least, and
@@ -256,7 +264,7 @@ class TextureModel(Model):
             )
             for index in range(self.top + 1)
         ]
-        self.slices = novel_layout.slices_for(self._own[self.top])
+        self.slices = novel_layout.slices_for(self._own[self.top], self.config.layout)
         assert isinstance(self.content, Labels)  # novelty is for labels
         counted = self.content.present if self.config.layout == "structure" else ()
         self.small = {label: learn_small_bodies(self.exemplars, label) for label in counted}
@@ -330,6 +338,43 @@ class TextureModel(Model):
         return quantise(field, clip=FULL)
 
     def make(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
+        values, report = self._make(request)
+        figures = self._compare(values, request)
+        if figures:
+            report["figures"] = {name: one.to_json() for name, one in figures.items()}
+            if line := off_line(figures):
+                notify(f"off beyond the exemplar's own spread: {line}")
+        return values, report
+
+    def _compare(self, values: np.ndarray, request: Request) -> dict[str, Figure]:
+        """Return cheap figures of a result over those of the exemplar; none where the result is to
+        differ from it, or is made of several or of grey values.
+        """
+        if not self._compares(request) or self._own_figures is None:
+            return {}
+        return self._own_figures.compare(with_values(self.exemplars[0], values))
+
+    def _compares(self, request: Request) -> bool:
+        alone = len(self.exemplars) == 1 and isinstance(self.content, Labels)
+        return alone and not request.asks_for() - {"periodic"}
+
+    def _figure_stages(self, request: Request) -> tuple[Stage, ...]:
+        """Declare the comparison of a result with the exemplar."""
+        if not self._compares(request):
+            return ()
+        return figure_stages(request.shape, self.exemplars[0].shape, box=self._figure_box)
+
+    @cached_property
+    def _own_figures(self) -> OwnFigures | None:
+        """Measure the exemplar and its parts."""
+        return OwnFigures.of(self.exemplars[0], box=self._figure_box)
+
+    @property
+    def _figure_box(self) -> int:
+        return BOX if self.top else SMALL_BOX
+
+    def _make(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
+        """Return the values of a request and a report, without its figures."""
         report: dict[str, Any] = {}
         new = self._makes_new(request)
         if new and self.painted is not None:
@@ -382,7 +427,6 @@ class TextureModel(Model):
             self.top,
             self.config.layout,
             beside=request.fixed is not None,
-            short=self.config.short,
         )
         aims, slices = self.aims, self.slices
         if request.target:
@@ -410,7 +454,7 @@ class TextureModel(Model):
         ]
         coarsest = self._own[self.top]
         weights = [1 + t * g for g in density_weights(coarsest, self._window(self.top))]
-        return aims, novel_layout.slices_for(coarsest, weights)
+        return aims, novel_layout.slices_for(coarsest, self.config.layout, weights)
 
     @cached_property
     def _slopes(self) -> list[DensitySlopes]:
@@ -568,6 +612,7 @@ class TextureModel(Model):
                 nbytes=self.output_bytes(request),
                 distances=isinstance(self.content, Labels),
             ),
+            *self._figure_stages(request),
         )
 
     def _fixed(self) -> dict[str, int]:

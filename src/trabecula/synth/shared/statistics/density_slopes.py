@@ -24,6 +24,7 @@ from trabecula.synth.shared.statistics.two_point import (
     Correlations,
     Soft,
     soft_indicator,
+    whole_blocks,
 )
 
 _OPEN = (False, False, False)
@@ -84,22 +85,26 @@ def density_slopes(
     shares, products = np.zeros((channels, len(values))), np.zeros((channels, bins))
     weighted, alike, fits, fraction = np.zeros(bins), np.zeros(bins), np.zeros(bins), 0.0
     for field, g in zip(fields, weights, strict=True):
+        blocks = correlations.blocks
+        shape = tuple(side // blocks for side in g.shape)
         pairs = Pairs(
-            g.shape,
+            shape,
             correlations.r_max,
             edges=correlations.edges,
             directions=correlations.directions,
         )
         fits += pairs.fits
-        spectrum = pairs.forward(g)
-        everywhere = pairs.forward(np.ones(g.shape, np.float32))
+        spectrum = pairs.forward(whole_blocks(g.__getitem__, shape, blocks))
+        everywhere = pairs.forward(np.ones(shape, np.float32))
         weighted += pairs.curve(spectrum, everywhere) * pairs.fits
         alike += pairs.curve(spectrum, spectrum) * pairs.fits
         fraction += float(g.sum(where=field[0] > 0, dtype=np.float64)) / size
         for c, channel in enumerate(field):
             soft = Soft.of(channel, correlations.softness)
-            moved = pairs.forward(partial(_weighted_plane, soft, g))
-            products[c] += pairs.curve(moved, pairs.forward(soft.plane)) * pairs.fits
+            weighted_planes = partial(_weighted_plane, soft, g)
+            moved = pairs.forward(whole_blocks(weighted_planes, shape, blocks))
+            still = pairs.forward(whole_blocks(soft.plane, shape, blocks))
+            products[c] += pairs.curve(moved, still) * pairs.fits
             places = np.searchsorted(values, channel.ravel())
             shares[c] += np.bincount(places, g.ravel(), len(values)) / size
     # The weights of the pairs of a bin do not add up to 0: places at the faces have fewer of them.

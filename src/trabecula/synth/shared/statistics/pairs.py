@@ -191,15 +191,13 @@ class Pairs:
         """
         kernel = self._kernel(weights)
         values = memmap.empty(self.shape, np.float32, least=0)
-        depth, far = self.shape[0], self.reach[0]
+        depth = self.shape[0]
         along_z, along_y, along_x = (box_response(side, shorter_than) ** 2 for side in self.shape)
         along_x = along_x[: kernel.shape[2]]
 
         def product(y: int) -> np.ndarray:
-            lines = np.zeros((depth, kernel.shape[2]), np.complex64)
-            lines[: far + 1] = kernel[:, y]
-            lines[depth - far :] = kernel[far:0:-1, y]  # a pair and its mirror image share a bin
-            response = np.fft.fft(lines, axis=0).real
+            # a pair and its mirror image share a bin: planes -dz are the conjugates of planes dz
+            response = np.fft.hfft(kernel[:, y], depth, axis=0)
             if shorter_than:
                 response *= 1 - along_z[:, None] * (along_y[y] * along_x)
             return spectrum[:, y] * response

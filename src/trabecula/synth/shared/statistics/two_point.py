@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from trabecula.engine.parallel import sum_slabs
 from trabecula.synth.shared.content.fields import FULL
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.statistics.long_waves import LongWaves
-from trabecula.synth.shared.statistics.pairs import AXES, Pairs
+from trabecula.synth.shared.statistics.pairs import AXES, Pairs, Planes
 
 _SOFTNESS = (1.6, 2.4)  # voxels of the soft interface: on the finest level, and on the others
 # farthest distance in voxels of the finest level, and at least so many of a level's own
@@ -33,7 +34,8 @@ class Correlations:
 
     `softness` is the width of the soft step in int8 steps of the field; `edges` are the sides of a
     voxel; `held` (bool) says for which of them the exemplars hold any pairs. With `waves` the steps
-    leave alone waves longer than twice their largest window.
+    leave alone waves longer than twice their largest window. Where `blocks` is 2 the soft indicator
+    is that of blocks of 2 x 2 x 2 voxels, its mean over them, and distances count in blocks.
     """
 
     curves: np.ndarray
@@ -42,11 +44,53 @@ class Correlations:
     held: np.ndarray
     waves: LongWaves | None = None
     directions: int = AXES
+    blocks: int = 1
 
     @property
     def r_max(self) -> int:
         """Return the largest distance."""
         return self.curves.shape[1] // self.directions - 1
+
+    def grid(self, shape: Sequence[int]) -> tuple[int, ...]:
+        """Return the sides of a torus in blocks: an odd side ends with one that is cut in half."""
+        return tuple(-(-side // self.blocks) for side in shape)
+
+    def on_grid(self, planes: Planes, shape: Sequence[int]) -> Planes:
+        """Return the planes of blocks of a field of this shape, given by its own planes."""
+        return planes if self.blocks == 1 else BlockMeans(planes, tuple(shape))
+
+
+@dataclass(frozen=True)
+class BlockMeans:
+    """Means over blocks of 2 x 2 x 2 voxels of a field of some shape, given by its planes; a block
+    that is cut in half by a face is continued by the voxels at the face.
+    """
+
+    planes: Planes
+    shape: tuple[int, ...]
+
+    def __call__(self, z: int) -> np.ndarray:
+        """Return plane z of blocks, float32."""
+        depth, height, width = self.shape
+        both = self.planes(2 * z) + self.planes(min(2 * z + 1, depth - 1))
+        if height % 2 or width % 2:
+            both = np.pad(both, ((0, height % 2), (0, width % 2)), mode="edge")
+        rows = both[::2] + both[1::2]
+        return np.asarray((rows[:, ::2] + rows[:, 1::2]) * np.float32(1 / 8))
+
+
+def whole_blocks(planes: Planes, shape: Sequence[int], blocks: int) -> Planes:
+    """Return the planes of so many blocks (Z, Y, X) of a field that is given by its own planes: its
+    far faces may lie beyond them.
+    """
+    if blocks == 1:
+        return planes
+    sides = [blocks * side for side in shape]
+    return BlockMeans(partial(_near_part, planes, sides[1], sides[2]), tuple(sides))
+
+
+def _near_part(planes: Planes, height: int, width: int, z: int) -> np.ndarray:
+    return planes(z)[:height, :width]
 
 
 def correlations_of(
@@ -56,6 +100,7 @@ def correlations_of(
     r_max: int,
     edges: Sequence[float] = (1.0, 1.0, 1.0),
     directions: int = AXES,
+    blocks: int = 1,
 ) -> Correlations:
     """Measure the two-point functions of the soft indicators of exemplars (C, Z, Y, X) int8, all
     pairs of them counted alike.
@@ -74,18 +119,23 @@ def correlations_of(
         Sides of a voxel.
     directions : int
         `AXES` or `DIAGONAL`.
+    blocks : int
+        1 or 2 voxels a side of the blocks whose means are correlated; the largest distance counts
+        in blocks.
     """
     steps = (float(edges[0]), float(edges[1]), float(edges[2]))
     bins = directions * (r_max + 1)
     sums, fits = np.zeros((len(fields[0]), bins)), np.zeros(bins)
     for field in fields:
-        pairs = Pairs(field.shape[1:], r_max, edges=steps, directions=directions)
+        shape = tuple(side // blocks for side in field.shape[1:])
+        pairs = Pairs(shape, r_max, edges=steps, directions=directions)
         fits += pairs.fits
         for c, channel in enumerate(field):
-            spectrum = pairs.forward(Soft.of(channel, softness).plane)
+            soft = Soft.of(channel, softness)
+            spectrum = pairs.forward(whole_blocks(soft.plane, shape, blocks))
             sums[c] += pairs.curve(spectrum, spectrum) * pairs.fits
     curves = sums / np.maximum(fits, 1)
-    return Correlations(curves, softness, steps, fits > 0, directions=directions)
+    return Correlations(curves, softness, steps, fits > 0, directions=directions, blocks=blocks)
 
 
 def correlations_at(
@@ -95,6 +145,7 @@ def correlations_at(
     edges: Sequence[float],
     clip: float,
     directions: int = AXES,
+    blocks: int = 1,
 ) -> Correlations:
     """Measure the target of one level (0 the finest) of a pyramid, with the softness and the reach
     that suit it.
@@ -108,9 +159,10 @@ def correlations_at(
     return correlations_of(
         fields,
         softness=softness,
-        r_max=max(_NEAR, reach // 2**level),
+        r_max=max(_NEAR, reach // (blocks * 2**level)),
         edges=edges,
         directions=directions,
+        blocks=blocks,
     )
 
 

@@ -19,6 +19,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
@@ -152,6 +153,13 @@ def _pairs(
     return pairs, replace(pairs, wraps=(True, True, True), free=None)
 
 
+class Slopes(Protocol):
+    """Planes (Y, X) float32 of a gradient: an array, or what makes them."""
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, z: int, /) -> np.ndarray: ...
+
+
 @dataclass(frozen=True)
 class Direction:
     """A direction in which the two-point function falls where it is pushed: on the interface only,
@@ -160,7 +168,7 @@ class Direction:
     `slope` (Z, Y, X) float32 is the gradient everywhere, `mean` that on the interface.
     """
 
-    slope: np.ndarray
+    slope: Slopes
     mean: np.float32
     soft: Soft
 
@@ -169,7 +177,7 @@ class Direction:
         return np.where(self.soft.interface(z), self.mean - self.slope[z], np.float32(0))
 
     @classmethod
-    def of(cls, slope: np.ndarray, soft: Soft, moving: int) -> Direction:
+    def of(cls, slope: Slopes, soft: Soft, moving: int) -> Direction:
         """Return the direction down a slope, on the interface of `moving` voxels."""
         sums = np.zeros(len(slope))
 
@@ -250,12 +258,15 @@ def weigh_distances(pairs: Pairs, target: Correlations) -> tuple[np.ndarray, np.
 
 
 def longest_wave(target: Correlations) -> int:
-    """Return the width of the widest window of the target's long waves; 0 where it has none.
+    """Return the width of the widest window of the target's long waves, in its blocks; 0 where it
+    has none.
 
     Steps that were cut at twice the smallest window instead left S2 of bone .03 off where it is
     .015 now: lags of 16 to 40 have no other hold.
     """
-    return target.waves.widths[-1] if target.waves is not None and target.waves.widths else 0
+    if target.waves is None or not target.waves.widths:
+        return 0
+    return target.waves.widths[-1] // target.blocks
 
 
 def split_into_bands(push: np.ndarray, r: np.ndarray) -> list[np.ndarray]:
