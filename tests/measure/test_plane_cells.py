@@ -42,6 +42,7 @@ def test_gaps_are_bridged_and_wide_ones_are_not():
     assert len(plane_cells(values, neck=0.05)) < len(plane_cells(values, neck=1.0))
 
 
+@pytest.mark.whole
 def test_weights_take_out_that_the_edge_cuts_large_cells_more_often():
     random = np.random.default_rng(1)
     seeds = random.random((220, 2)) * 160

@@ -85,6 +85,7 @@ def test_grains_have_the_volumes_that_were_drawn():
     assert not np.array_equal(diagram.seeds, other.seeds)
 
 
+@pytest.mark.whole
 def test_moves_to_the_centroids_make_cells_rounder():
     def surface(steps):
         diagram, _ = grow_grains(1, (40, 40, 40), 1 / 512, spread=0.2, lloyd_steps=steps)
@@ -128,6 +129,7 @@ def test_sections_are_like_the_picture(made, picture):
     assert np.mean([c.mean_neighbours for c in found]) == pytest.approx(6, abs=0.4)
 
 
+@pytest.mark.whole
 def test_cells_follow_their_lengths_in_pictures_of_two_planes(picture):
     wide = tb.Image(np.repeat(picture.values, 2, axis=1), "labels", phases=picture.phases)
     model = tb.method("tessellation", views=("yx", "zx"), **FAST).fit(wide)
@@ -139,6 +141,7 @@ def test_cells_follow_their_lengths_in_pictures_of_two_planes(picture):
     assert crossings[1] / crossings[2] == pytest.approx(2, rel=0.3)
 
 
+@pytest.mark.whole
 def test_phases_go_to_whole_cells_by_their_fractions(picture):
     labels = plane_cells(picture, boundary="solid").labels
     values = np.where(picture.values == 1, 1, np.where(labels % 4 == 0, 2, 0)).astype(np.uint8)
@@ -159,6 +162,7 @@ def test_a_saved_model_gives_the_same_voxels(model, made, tmp_path):
     assert np.array_equal(again.generate((30, 33, 36), seed=3).values, made.values)
 
 
+@pytest.mark.whole
 def test_the_certificate_judges_cells_of_slices(picture, made):
     metrics = tb.verify(picture, made, level="quick").metrics
     names = [name for name in metrics if name.startswith("cell_")]
@@ -206,6 +210,7 @@ def test_settings_are_checked_by_name(model):
         model.generate(16, target={"porosity": 0.5})
 
 
+@pytest.mark.whole
 def test_sections_tell_sizes_apart():
     from trabecula.synth.tessellation.sections import _Trial
 
