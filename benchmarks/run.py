@@ -35,6 +35,7 @@ import gan_weights
 import graded
 import graded_bone
 import image
+import image_cells
 import image_figures
 import image_paper
 import image_speed
@@ -118,6 +119,7 @@ CASES: dict[str, Callable[[], None]] = {
     "gan_paper": gan_paper.gan_paper,
     "gan_weights": gan_weights.gan_weights,
     "image_likeness": image.image_likeness,
+    "image_cells": image_cells.image_cells,
     "image_paper": image_paper.image_paper,
     "image_cooling": image_figures.image_cooling,
     "image_upsampling": image_figures.image_upsampling,

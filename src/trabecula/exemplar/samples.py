@@ -60,6 +60,17 @@ SAMPLES = {
             25.0,
             "um",
         ),
+        Sample(
+            "cells",
+            "stand-in for a closed-cell foam or for grains: walls between all cells",
+            9.0,
+            1.0,
+            0.6,
+            1.0,
+            0.45,
+            10.0,
+            "um",
+        ),
     )
 }
 
@@ -100,7 +111,8 @@ def sample(name: str) -> Image:
     for_slabs(
         lambda a, b: _cells(field, centres, size, np.float32(chosen.walls), grow, a, b), _SIDE
     )
-    field = _blur(field)
+    if chosen.walls < 1:  # a blur opens thin walls
+        field = _blur(field)
     count = round(field.size * (1 - chosen.porosity))
     level = np.partition(field.ravel(), count)[count]
     values = (field < level).astype(np.uint8)

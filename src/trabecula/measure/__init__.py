@@ -62,6 +62,7 @@ from trabecula.measure.network import (
 from trabecula.measure.orientation import orientation, structure_tensor
 from trabecula.measure.percolation import percolates, percolating_fraction
 from trabecula.measure.phase_lists import phase_curves, phase_numbers
+from trabecula.measure.plane_cells import PlaneCells, plane_cells
 from trabecula.measure.plates import PlatesAndRods, plates_and_rods
 from trabecula.measure.properties import measure_property
 from trabecula.measure.relative_permeability import (
@@ -93,6 +94,7 @@ __all__ = [
     "Evenness",
     "Interval",
     "Minkowski",
+    "PlaneCells",
     "PlatesAndRods",
     "PoreNetwork",
     "RelativePermeability",
@@ -158,6 +160,7 @@ __all__ = [
     "permeability",
     "phase_curves",
     "phase_numbers",
+    "plane_cells",
     "plates_and_rods",
     "pore_size",
     "porosity",

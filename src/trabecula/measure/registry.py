@@ -337,6 +337,33 @@ _TABLE = (
         each=("triple",),
         meaning="Length per volume of the lines where three phases meet.",
     ),
+    Descriptor(
+        name="cell_area", title="Cells of slices, mean area", group="shape", source=JUDGED,
+        rule=INSIDE, power=2,
+        meaning="Of a volume held against a picture of closed boundaries: the mean area of a cell "
+        "in its slices (`plane_cells`), its share of the boundaries included.",
+    ),
+    Descriptor(
+        name="cell_area_variation", title="Cells of slices, variation of area", group="shape",
+        source=JUDGED, rule=INSIDE, normalised=True,
+        meaning="As `cell_area`: the standard deviation of the area over its mean.",
+    ),
+    Descriptor(
+        name="cell_neighbours", title="Cells of slices, neighbours", group="shape", source=JUDGED,
+        rule=INSIDE, normalised=True,
+        meaning="As `cell_area`: the mean number of cells that a cell shares a line with, near 6 "
+        "where three meet in every point.",
+    ),
+    Descriptor(
+        name="cell_triple_points", title="Cells of slices, triple points", group="shape",
+        source=JUDGED, rule=INSIDE, power=-2,
+        meaning="As `cell_area`: points where three cells meet, per area.",
+    ),
+    Descriptor(
+        name="cell_boundary_length", title="Cells of slices, boundary length", group="shape",
+        source=JUDGED, rule=INSIDE, power=-1,
+        meaning="As `cell_area`: length of the lines between cells, per area.",
+    ),
     _connectivity(
         name="triple_line_active", title="Triple-phase line, active share",
         measure=triple_phase_active_share, source=PHASES, share=True,

@@ -19,6 +19,7 @@ from trabecula.measure.effective_properties import describe_physics, physics_not
 from trabecula.measure.registry import DESCRIPTORS
 from trabecula.report.band import part_boxes
 from trabecula.report.baseline import gaussian_field
+from trabecula.report.cell_sections import judge_cells
 from trabecula.report.compatibility import check_volume
 from trabecula.report.decidability import exemplar_reasons, level_reasons, picture_reason
 from trabecula.report.descriptors import (
@@ -166,6 +167,8 @@ class _Judge:
             found["coherence"] = self.reference.judge_coherence(
                 float(np.mean(known)) if known else None
             )
+        if image.kind == "labels":
+            found |= judge_cells(self.reference, self.own.planes, image, whole)
         found = self._rename(found)
         if len(planes) > 1:
             found |= {

@@ -46,7 +46,7 @@ class MethodCase:
     method : str or type of Method
         The name of a registered method, or a class.
     exemplar : Image, optional
-        Default: a part of the bone sample, of a size that the method learns from in seconds.
+        Default: a part of the method's sample, of a size that the method learns from in seconds.
     small : Image, optional
         A smaller one for presets. Default: a part of the exemplar.
     """
@@ -89,7 +89,7 @@ class MethodCase:
             return read(write(self._given, self.folder() / "exemplar.tif"))
         if self.capabilities.exemplar is None:
             return None
-        volume = crop(sample("bone"), 64 if self.trains else 40)
+        volume = crop(sample(self.capabilities.sample), 64 if self.trains else 40)
         if self.capabilities.exemplar == "2d":
             middle = volume.values[len(volume.values) // 2]
             voxel = (volume.spacing[1:], volume.unit, volume.phases)

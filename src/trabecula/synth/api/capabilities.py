@@ -55,6 +55,8 @@ class Capabilities:
         Extras of the package that it needs.
     trial : mapping
         Settings with which tests take seconds where the defaults take minutes.
+    sample : str
+        Sample of the package whose parts it learns from in tests.
 
     Raises
     ------
@@ -77,6 +79,7 @@ class Capabilities:
     presets: tuple[str, ...] = ()
     extras: tuple[str, ...] = ()
     trial: Mapping[str, Any] = field(default_factory=dict)
+    sample: str = "bone"
 
     def __post_init__(self) -> None:
         words = {

@@ -1,0 +1,259 @@
+"""Sections of tessellations beside a picture: the settings whose sections are most like it.
+
+The sizes of cells in a section say little of a single cell in space, but their distribution follows
+from that of the volumes (Saltykov's problem). Instead of an unfolding, which is ill-posed, small
+tessellations are made, cut, drawn with walls of the picture's thickness and measured as the picture
+is; of a coarse grid of settings the nearest is taken (minimum contrast: Redenbach 2009,
+doi:10.1016/j.commatsci.2008.09.018). Seeds of these trials are fixed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trabecula.core.errors import InputError
+from trabecula.core.image import Image
+from trabecula.measure.distance import distance_transform
+from trabecula.measure.plane_cells import plane_cells
+from trabecula.synth.tessellation.grains import grow_grains
+from trabecula.synth.tessellation.laguerre import Diagram, PointGrid
+
+SPREADS = (0.0, 0.25, 0.5, 0.75, 1.0)
+STEPS = (0, 1, 3, 8)
+ROUNDINGS = (0.0, 0.1, 0.2, 0.3)
+
+_SHARES = np.linspace(0.1, 0.9, 9)
+_CELLS = 216
+_PLANES = 4  # along every axis
+_WIDTH = 10.0  # of a section over the edge of a cell, at most; sections go around the torus
+_PIXELS = 20.0  # of a cell's edge in a trial, at most
+_POINTS = 5.0
+_SEED = 0
+_PER_SECTION = 1.2  # cells per area of a section over the 2/3 power of those per volume, at first
+
+
+@dataclass(frozen=True, eq=False)
+class SectionFigures:
+    """Cells of a section, or the mean of several."""
+
+    density: float
+    """Cells per area: half of the points where three meet (Euler's formula), which no edge of the
+    picture cuts."""
+    sizes: np.ndarray
+    """(9,) deciles of the square root of the area, over its root mean square."""
+    aspect: float
+    neighbours: float
+    """Standard deviation of the number of neighbours."""
+    walls: float
+    """Share of the boundary."""
+    thick: float
+    """Mean square of the depth in the boundary over the square of its mean: 4 / 3 of even walls,
+    more where corners are thick."""
+
+    @classmethod
+    def of(cls, image: Image, neck: float) -> SectionFigures:
+        """Measure a picture whose boundaries are label 1."""
+        cells = plane_cells(image, boundary=1, neck=neck)
+        area = cells.mean_area
+        depth = distance_transform(image.values == 1)[image.values == 1]
+        return cls(
+            cells.triple_points / 2,
+            np.sqrt(cells.quantiles(cells.area, _SHARES) / area),
+            cells.mean(cells.aspect),
+            cells.spread(cells.neighbours),
+            float(np.mean(image.values == 1)),
+            float(np.mean(depth**2, dtype=np.float64) / np.mean(depth, dtype=np.float64) ** 2),
+        )
+
+    @classmethod
+    def mean(cls, found: Sequence[SectionFigures]) -> SectionFigures:
+        """Return the mean of several sections."""
+        names = ("density", "sizes", "aspect", "neighbours", "walls", "thick")
+        means = {name: np.mean([getattr(one, name) for one in found], axis=0) for name in names}
+        sizes = means.pop("sizes")
+        return cls(sizes=sizes, **{name: float(value) for name, value in means.items()})
+
+    def difference(self, other: SectionFigures) -> float:
+        """Return how far the cells of two sections are apart: mean difference of the deciles of
+        sizes, and differences of the mean aspect and of the spread of neighbours.
+        """
+        sizes = float(np.abs(self.sizes - other.sizes).mean())
+        return (
+            sizes
+            + 0.3 * abs(self.aspect - other.aspect)
+            + 0.1 * abs(self.neighbours - other.neighbours)
+        )
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What sections tell of the cells in space."""
+
+    density: float
+    """Cells per voxel."""
+    spread: float
+    lloyd_steps: int
+    rounding: float
+    walls: float
+    """Volume fraction of the boundary."""
+    difference: float
+    """Of the sections that were made to the picture's."""
+
+
+def shape_of(
+    picture: SectionFigures,
+    width: float,
+    neck: float,
+    *,
+    spread: float | None,
+    lloyd_steps: int | None,
+    rounding: float | None,
+) -> Shape:
+    """Return the settings whose sections are most like the picture; those that are given stay.
+
+    `width` is the shorter side of the picture, pixels. Spread and steps are searched in turns along
+    `SPREADS` and `STEPS`, then the rounding.
+    """
+    density = (picture.density / _PER_SECTION) ** 1.5
+    trial = _Trial(picture, width, neck, density)
+    found = Shape(density, 0.4, 3, 0.0, picture.walls, np.inf)
+    found = replace(
+        found,
+        spread=0.4 if spread is None else spread,
+        lloyd_steps=3 if lloyd_steps is None else lloyd_steps,
+        rounding=0.0 if rounding is None else rounding,
+    )
+    for _ in range(2):
+        if spread is None:
+            nearest = min(SPREADS, key=lambda one: trial.off(replace(found, spread=one)))
+            found = replace(found, spread=nearest)
+        if lloyd_steps is None:
+            steps = min(STEPS, key=lambda one: trial.off(replace(found, lloyd_steps=one)))
+            found = replace(found, lloyd_steps=steps)
+    if rounding is None:
+        radius = min(ROUNDINGS, key=lambda one: trial.corners_off(replace(found, rounding=one)))
+        found = replace(found, rounding=radius)
+    made = trial.figures(found)
+    scale = (picture.density / made.density) ** 1.5
+    return replace(found, density=density * scale, difference=picture.difference(made))
+
+
+class _Trial:
+    """Small tessellations, cut and measured; each is made once."""
+
+    def __init__(self, picture: SectionFigures, width: float, neck: float, density: float) -> None:
+        self.picture, self.width, self.neck, self.density = picture, width, neck, density
+        self._grown: dict[tuple[float, int], Diagram] = {}
+        self._seen: dict[tuple[float, int, float], SectionFigures] = {}
+
+    def off(self, shape: Shape) -> float:
+        """Return how far the cells of sections are from the picture's."""
+        return self.picture.difference(self.figures(shape))
+
+    def corners_off(self, shape: Shape) -> float:
+        """Return how far the corners of boundaries are off; sharp ones are taken unless round ones
+        are nearer by more than sections scatter.
+        """
+        return abs(self.picture.thick - self.figures(shape).thick) + 0.1 * shape.rounding
+
+    def figures(self, shape: Shape) -> SectionFigures:
+        """Return the figures of sections of a trial."""
+        key = (shape.spread, shape.lloyd_steps, shape.rounding)
+        if key not in self._seen:
+            self._seen[key] = self._measure(shape)
+        return self._seen[key]
+
+    def _measure(self, shape: Shape) -> SectionFigures:
+        diagram = self._diagram(shape.spread, shape.lloyd_steps)
+        side, edge = float(diagram.sides[0]), self.density ** (-1 / 3)
+        pixel = max(1.0, edge / _PIXELS)
+        line = (np.arange(round(min(self.width, _WIDTH * edge) / pixel)) + 0.5) * pixel
+        cuts = (np.arange(_PLANES) + 0.5) * (side / _PLANES)
+        touching = diagram.neighbours([round(side / edge * _POINTS)] * 3)
+        found = []
+        for axis in range(3):
+            grid = PointGrid(*(cuts if axis == each else line for each in range(3)))
+            owner = diagram.cells(grid)
+            depth = diagram.face_distance(grid, owner, touching, shape.rounding * edge)
+            walls = draw_boundaries(owner, depth, self.picture.walls, across=axis)
+            for plane in np.moveaxis(walls, axis, 0):
+                image = Image(
+                    np.ascontiguousarray(plane).astype(np.uint8),
+                    "labels",
+                    (pixel,) * 2,
+                    "voxel",
+                    ("interior", "boundary"),
+                )
+                try:
+                    found.append(SectionFigures.of(image, self.neck))
+                except InputError:
+                    continue  # a section of few cells
+        if not found:
+            raise InputError(
+                "no cells found in sections of the tessellation: the picture's boundaries are too "
+                "thick for its cells; give a picture of higher resolution"
+            )
+        return SectionFigures.mean(found)
+
+    def _diagram(self, spread: float, lloyd_steps: int) -> Diagram:
+        key = (spread, lloyd_steps)
+        if key not in self._grown:
+            side = (_CELLS / self.density) ** (1 / 3)
+            self._grown[key] = grow_grains(
+                _SEED,
+                (side,) * 3,
+                self.density,
+                spread=spread,
+                lloyd_steps=lloyd_steps,
+                points=_POINTS,
+            )[0]
+        return self._grown[key]
+
+
+def draw_boundaries(
+    owner: np.ndarray,
+    depth: np.ndarray,
+    share: float,
+    *,
+    across: int | None = None,
+    inside: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the boundary of cells, (Z, Y, X) bool: the voxels nearest to faces, as many as make a
+    share of all, and at least those that keep the cells apart.
+
+    Of two voxels of different cells that share a face one is boundary: the nearer to a face of its
+    cell. So every boundary is closed, however thin.
+
+    Parameters
+    ----------
+    owner : int32 array, (Z, Y, X)
+        Cells.
+    depth : float32 array, (Z, Y, X)
+        Distance to the faces of the cells. It is written to.
+    share : float
+        Of the boundary.
+    across : int, optional
+        An axis whose planes are sections of their own.
+    inside : bool array, optional
+        Voxels that count. Default: all.
+    """
+    for axis in range(3):
+        if axis == across:
+            continue
+        first, second = (
+            tuple(part if n == axis else slice(None) for n in range(3))
+            for part in (slice(None, -1), slice(1, None))
+        )
+        apart = owner[first] != owner[second]
+        nearer = depth[first] <= depth[second]
+        depth[first][apart & nearer] = -np.inf
+        depth[second][apart & ~nearer] = -np.inf
+    known = depth.ravel() if inside is None else depth[inside]
+    count = round(share * known.size)
+    if count == 0 or known.size == 0:
+        return np.asarray(depth == -np.inf)
+    level = np.partition(known, min(count, known.size - 1))[min(count, known.size - 1)]
+    return np.asarray((depth < level) | (depth == -np.inf))
