@@ -9,6 +9,7 @@ import json
 import chromium
 import numpy as np
 import pytest
+from page_scenes import READY, SHARP
 from PIL import Image as Pillow
 
 import trabecula as tb
@@ -17,14 +18,6 @@ from trabecula.view.page.server import PageServer
 pytestmark = pytest.mark.skipif(chromium.find_browser() is None, reason=chromium.MISSING)
 
 WINDOW = (280, 220)
-SHARP = (
-    "new Promise((done) => { const wait = () => "
-    "(app.passes >= 4 ? done(app.frames) : setTimeout(wait, 20)); wait(); })"
-)
-READY = (
-    "window.trabecula.ready.then((app) => "
-    f"{{ window.app = app; return app.drawing ? {SHARP} : 0; }})"
-)
 
 
 def foam(side=24, seed=0):
