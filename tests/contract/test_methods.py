@@ -38,7 +38,7 @@ SHARED = {
 Each method takes part in some of them, and each has a method of windows or of memory-mapped arrays.
 """
 
-SLOW = {"old processor": {"bubbles", "chen", "kopf", "mrf", "quilt"}}
+SLOW = {"old processor": {"bubbles", "chen", "kopf", "mrf", "quilt", "sliced", "tessellation"}}
 """Checks that compile all kernels of a method anew: others make them, these in `make test-slow`."""
 
 
