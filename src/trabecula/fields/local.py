@@ -8,6 +8,7 @@ not depend on its size.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -102,10 +103,12 @@ def windowed(
         if name.startswith(TWO_POINT):
             fields[name] = _two_point(inside, _lag(name, width), width)
         elif codes is not None and name in FUNCTIONALS[image.ndim]:
-            fields[name] = _mean_of(codes, _functional_table(name, edges, neighbours), width - 1)
+            fields[name] = _mean_of(
+                codes, _functional_table(name, edges, neighbours), [width - 1] * image.ndim
+            )
         else:
             which = inside if name == "volume_fraction" else image.values == _label(name, image)
-            fields[name] = _mean_of(which.view(np.uint8), np.arange(256) == 1, width)
+            fields[name] = _mean_of(which.view(np.uint8), np.arange(256) == 1, [width] * image.ndim)
     return fields
 
 
@@ -228,22 +231,13 @@ def _two_point(inside: np.ndarray, lag: int, width: int) -> np.ndarray:
     """Return the share of pairs `lag` apart along the axes that are both inside, of every window,
     float32.
     """
-    total: np.ndarray | None = None
+    total = np.zeros([side - width + 1 for side in inside.shape], np.float32)
     for axis in range(inside.ndim):
         ends = [(slice(None),) * axis + (part,) for part in (slice(lag, None), slice(None, -lag))]
-        pairs = (inside[ends[0]] & inside[ends[1]]).astype(np.int64)
-        for other in range(inside.ndim):
-            # along the pair there are fewer
-            size = width - lag if other == axis else width
-            sums = np.cumsum(pairs, axis=other)
-            first = np.zeros_like(sums.take([0], axis=other))
-            sums = np.concatenate([first, sums], axis=other)
-            count = sums.shape[other] - size
-            pairs = sums.take(range(size, size + count), other) - sums.take(range(count), other)
-        total = pairs if total is None else total + pairs
-    assert total is not None
-    of = inside.ndim * (width - lag) * width ** (inside.ndim - 1)
-    return (total / of).astype(np.float32)
+        pairs = inside[ends[0]] & inside[ends[1]]
+        sides = [width - lag * (other == axis) for other in range(inside.ndim)]
+        total += _mean_of(pairs.view(np.uint8), np.arange(256) == 1, sides)
+    return total / np.float32(inside.ndim)
 
 
 def _label(name: str, image: Image) -> int:
@@ -277,26 +271,26 @@ def _functional_table(name: str, spacing: tuple[float, ...], connectivity: int) 
     return np.asarray(share / np.prod(spacing))
 
 
-def _mean_of(codes: np.ndarray, table: np.ndarray, width: int) -> np.ndarray:
-    """Return the table's mean over every window of `width` codes a side, float32."""
+def _mean_of(codes: np.ndarray, table: np.ndarray, sides: Sequence[int]) -> np.ndarray:
+    """Return the table's mean over every window of so many codes along the axes, float32."""
     deep = np.ascontiguousarray(codes if codes.ndim == 3 else codes[None])
-    depth = width if codes.ndim == 3 else 1
+    window = (1, 1, *sides)[-3:]
     largest = max(1.0, float(np.abs(table).max()))
     unit = _UNIT / largest  # voxels finer than the unit of length make large densities
     whole = np.rint(np.asarray(table, np.float64) * unit).astype(np.int64)
-    means = np.empty(
-        (deep.shape[0] - depth + 1, *(side - width + 1 for side in deep.shape[1:])), np.float32
-    )
-    scale = 1.0 / (unit * width**codes.ndim)
+    places = [side - width + 1 for side, width in zip(deep.shape, window, strict=True)]
+    means = np.empty(places, np.float32)
+    scale = 1.0 / (unit * math.prod(window))
     for_slabs(
-        lambda start, stop: _slide(deep, whole, depth, width, scale, means, start, stop), len(means)
+        lambda start, stop: _slide(deep, whole, window, scale, means, start, stop), len(means)
     )
     return means if codes.ndim == 3 else means[0]
 
 
 @kernel
-def _slide(codes, table, depth, width, scale, means, start, stop):
-    """Sum windows of depth x width x width codes: columns along z, rows of them, then windows."""
+def _slide(codes, table, window, scale, means, start, stop):
+    """Sum windows of codes: columns along z, rows of them, then windows."""
+    depth, rows, width = window
     _, height, length = codes.shape
     columns = np.zeros((height, length), np.int64)
     band = np.zeros(length, np.int64)
@@ -312,7 +306,7 @@ def _slide(codes, table, depth, width, scale, means, start, stop):
         for y in range(height):
             for x in range(length):
                 band[x] += columns[y, x]
-            row = y - width + 1
+            row = y - rows + 1
             if row < 0:
                 continue
             total = np.int64(0)

@@ -22,8 +22,8 @@ class LinearSystem(ABC):
     """A symmetric positive semidefinite system with its preconditioner and its vector operations.
 
     Vectors have any shape; a system may solve for several right-hand sides at once, the last axis.
-    It may return the same array from every call of `precondition`, and of `apply` where it is not
-    solved by flexible steps, which look back at the last product.
+    It may return the same array from every call of `precondition`, and from every call of `apply`:
+    flexible steps look back at the last product, but before the next one.
     """
 
     @abstractmethod

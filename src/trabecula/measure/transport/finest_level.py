@@ -55,13 +55,14 @@ class FinestLevel:
         """Where the next result goes: of the part's length, zeros between runs."""
         self.alone: tuple[GraphLevel, np.ndarray] | None = None
         self.aggregate = np.zeros(0, np.int32)
-        aggregate, self.below = _build_below(part, partial(rows, number), len(slots))
-        if self.below:
+        aggregate, levels = _build_levels(part, partial(rows, number), len(slots))
+        if aggregate is None:
+            self.alone, self.below = (levels[0], slots), []
+        else:
+            self.below = levels
             self.aggregate = np.zeros(part.slots, np.int32)
             self.aggregate[slots] = aggregate
-            self.coarse = np.zeros(len(self.below[0].inverse), np.float32)
-        else:
-            self.alone = build_levels(rows(number, 0, len(part.table)))[0], slots
+            self.coarse = np.zeros(len(levels[0].inverse), np.float32)
 
     def prolong(self, correction: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Add the correction of its aggregate to every node."""
@@ -76,20 +77,19 @@ class FinestLevel:
         return self.x
 
 
-def _build_below(
+def _build_levels(
     part: Segments, rows: Callable[[int, int], Graph], nodes: int
-) -> tuple[np.ndarray, list[GraphLevel]]:
-    """Return the aggregate of every node, and the levels below the finest; none where it is small
-    enough to be solved.
+) -> tuple[np.ndarray | None, list[GraphLevel]]:
+    """Return the aggregate of every node, and the levels below the finest; or None, and the finest
+    one alone, where it has no coarser one.
     """
     if nodes > DIRECT:
-        bounds = _bounds(part)
-        parts = [partial(rows, a, b) for a, b in pairwise(bounds)]
+        parts = [partial(rows, a, b) for a, b in pairwise(_bounds(part))]
         found = coarsen_parts(parts, nodes)
         if found is not None:
             return found[0], build_levels(found[1])
     levels = build_levels(rows(0, len(part.table)))
-    return levels[0].aggregate, levels[1:]
+    return (levels[0].aggregate, levels[1:]) if len(levels) > 1 else (None, levels)
 
 
 def _bounds(part: Segments) -> list[int]:

@@ -96,14 +96,16 @@ class Diagram:
     def blocks(self) -> Blocks:
         """Return the candidates of blocks, `_BLOCKS` along the edge of a bin."""
         counts = self._cut(_BLOCKS)
-        number = np.zeros(int(np.prod(counts)) + 1, np.int64)
-        for_slabs(
-            lambda a, b: count_candidates(number[1:], counts, self.sites, a, b), int(counts[0])
-        )
-        starts = np.cumsum(number)
-        seeds = np.empty(int(starts[-1]), np.int32)
-        blocks = Blocks(counts, starts, seeds)
-        for_slabs(lambda a, b: list_candidates(blocks, self.sites, a, b), int(counts[0]))
+        number = np.zeros(int(np.prod(counts)), np.int64)
+        blocks = Blocks(counts, np.zeros(len(number) + 1, np.int64), np.empty(0, np.int32))
+
+        def work(start: int, stop: int) -> None:
+            find_candidates(blocks, number, self.sites, start, stop)
+
+        for_slabs(work, int(counts[0]))
+        np.cumsum(number, out=blocks.starts[1:])
+        blocks = blocks._replace(seeds=np.empty(int(blocks.starts[-1]), np.int32))
+        for_slabs(work, int(counts[0]))
         return blocks
 
     def _cut(self, parts: int) -> np.ndarray:
@@ -272,24 +274,10 @@ def _half_diagonal(sides, counts):
 
 
 @kernel
-def count_candidates(number, counts, sites, start, stop):
-    """Write the number of candidates of every block of layers start..stop: `number` (blocks,)."""
-    kept = np.empty(len(sites.order), np.int64)
-    around = np.empty(len(sites.order), np.int64)
-    half, top = _half_diagonal(sites.sides, counts), sites.weights.max()
-    for k in range(start, stop):
-        z = (k + 0.5) * sites.sides[0] / counts[0]
-        for j in range(counts[1]):
-            y = (j + 0.5) * sites.sides[1] / counts[1]
-            for i in range(counts[2]):
-                x = (i + 0.5) * sites.sides[2] / counts[2]
-                place = (k * counts[1] + j) * counts[2] + i
-                number[place] = _candidates(kept, around, sites, top, z, y, x, half)
-
-
-@kernel
-def list_candidates(blocks, sites, start, stop):
-    """Write the candidates of the blocks of layers start..stop."""
+def find_candidates(blocks, number, sites, start, stop):
+    """Write the number of candidates of every block of layers start..stop: `number` (blocks,); and
+    the candidates, where there is room for them.
+    """
     counts = blocks.counts
     kept = np.empty(len(sites.order), np.int64)
     around = np.empty(len(sites.order), np.int64)
@@ -301,9 +289,10 @@ def list_candidates(blocks, sites, start, stop):
             for i in range(counts[2]):
                 x = (i + 0.5) * sites.sides[2] / counts[2]
                 place = (k * counts[1] + j) * counts[2] + i
-                number = _candidates(kept, around, sites, top, z, y, x, half)
-                for n in range(number):
-                    blocks.seeds[blocks.starts[place] + n] = kept[n]
+                number[place] = _candidates(kept, around, sites, top, z, y, x, half)
+                if len(blocks.seeds):
+                    for n in range(number[place]):
+                        blocks.seeds[blocks.starts[place] + n] = kept[n]
 
 
 @inline
