@@ -5,8 +5,9 @@ The mean of a field over a shell varies less the wider the shell is, so the same
 distances less. Where the share of every band is sought, shares rise with the distance (bone and
 Berea, 38 steps; of one direction the prediction was best with pushes by r^1 to r^1.8). Here each
 distance is pushed by r^1.2 times its misfit, all of them in one direction, whose length is chosen
-as there, and a round takes twice as many steps. With as many as before particles lost their form (a
-cathode's figures out of band: 7 with six directions, 14 with one, 1 with twice the steps).
+as there, and a round takes twice as many steps: with as many as before particles lost their form
+(80^3 of a cathode, figures out of band: 7 by the steps in six directions, 14 by as many of these, 4
+by twice as many).
 
 Pairs wrap around as the direction does, so every field is transformed once. Power spectra and
 kernels are real: half of the lines along z is enough. On the finest level the soft indicator is the
