@@ -20,6 +20,12 @@ QUICK = {
 }
 """Cases, kinds of cases and files that take little time, but for `SLOW` ones."""
 
+ELSEWHERE = {
+    "gan-shipped-in-blocks": "676b74a0f888a61b0a6ace87ea973297572c141891b551b858feab744977241f",
+    "gan-trained": "2045814d93f946a236e86225108ab4c0931768cbff009235e407c0b4768a5983",
+}
+"""Hashes on processors without matrix tiles (AMX), where PyTorch sums in another order."""
+
 SLOW = {
     *("bubbles-in-blocks", "exemplar-samples", "export-grey", "export-stl", "fields-directions"),
     *("measure-labels-full", "measure-phases", "noise-alone-voronoi", "quilt-flat"),
@@ -44,7 +50,8 @@ def test_a_case_gives_the_frozen_result(name):
         result = CASES[name]()
     except tb.errors.MissingExtraError as error:
         pytest.skip(str(error))
-    assert digest(result) == HASHES[name], f"{name} changed (python tests/frozen/freeze.py {name})"
+    known = (HASHES[name], ELSEWHERE.get(name))
+    assert digest(result) in known, f"{name} changed (python tests/frozen/freeze.py {name})"
 
 
 def test_every_preset_has_a_case():

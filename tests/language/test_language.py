@@ -87,6 +87,12 @@ def test_no_line_is_too_long():
     assert figure.count == 0, "\n".join(figure.places)
 
 
+def test_no_two_test_files_have_one_name():
+    """Pytest imports them by their names, so that the second one could not be collected."""
+    counts = Counter(path.name for path in (ROOT / "tests").rglob("test_*.py"))
+    assert not [name for name, count in counts.items() if count > 1]
+
+
 def test_vocabulary_has_one_meaning_for_each_word():
     entries = vocabulary()
     words = Counter(word for names, _ in entries for word in names.split(", "))

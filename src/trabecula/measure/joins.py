@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,27 @@ from trabecula.measure.union_find import root_of
 
 NOWHERE = np.iinfo(np.uint16).max
 """Distance of voxels that no path reaches: one more than that of the longest path."""
+
+
+class NearestComponents(NamedTuple):
+    """The nearest component of every voxel through the open ones, and how it is reached.
+
+    Attributes
+    ----------
+    owner : (Z, Y, X) uint16 or int32
+        Number of the component, 0 where no path leads.
+    far : (Z, Y, X) uint16
+        Cost of the path to it, NOWHERE where there is none.
+    cost : (Z, Y, X) uint8
+        Cost of each open voxel; empty where all cost 1.
+    wraps : (3,) bool
+        Paths continue at the opposite face.
+    """
+
+    owner: np.ndarray
+    far: np.ndarray
+    cost: np.ndarray
+    wraps: np.ndarray
 
 
 def cheapest_joins(
@@ -69,22 +91,22 @@ def cheapest_joins(
     count = int(numbers.max())
     if count < 2:
         return []
-    open_to, around = _open_voxels(values, runs, worth, background, inside), np.array(wraps)
-    owner = memmap.zeros(values.shape, np.uint16 if count < 2**16 else np.int32)
-    far = memmap.empty(values.shape, np.uint16)
-    seeds = (runs.first, runs.begin, runs.end, runs.label, numbers, owner, far)
-    in_order(lambda start, stop: _seed(*seeds, start, stop), len(values))
-    prices = np.empty((0, 0, 0), np.uint8) if cost is None else cost
+    open_to = _open_voxels(values, runs, worth, background, inside)
+    nearest = NearestComponents(
+        owner=memmap.zeros(values.shape, np.uint16 if count < 2**16 else np.int32),
+        far=memmap.empty(values.shape, np.uint16),
+        cost=np.empty((0, 0, 0), np.uint8) if cost is None else cost,
+        wraps=np.array(wraps),
+    )
+    seeds = (runs.first, runs.begin, runs.end, runs.label, numbers)
+    in_order(lambda start, stop: _seed(*seeds, nearest, start, stop), len(values))
     held = int(runs.sizes[worth].sum()) + sum_slabs(
         lambda a, b: np.count_nonzero(open_to[a:b]), len(values)
     )
-    again = held < values.size or bool(around.any()) or cost is not None
-    _spread_owners(owner, far, open_to, around, prices, again=again)
+    again = held < values.size or any(wraps) or cost is not None
+    _spread_owners(nearest, open_to, again=again)
     sizes = np.concatenate([[0], runs.sizes[worth]])
-    paths = [
-        _follow(owner, far, place, axis, sizes, around, prices)
-        for place, axis in _tree(owner, far, count, around)
-    ]
+    paths = [_follow(nearest, place, axis, sizes) for place, axis in _tree(nearest, count)]
     if cost is None:
         return sorted((_straighten(path, open_to) for path in paths), key=len)
     return sorted((path[:-1] for path in paths), key=len)
@@ -110,32 +132,24 @@ def _open_voxels(
     return free
 
 
-def _spread_owners(
-    owner: np.ndarray,
-    far: np.ndarray,
-    open_to: np.ndarray,
-    wraps: np.ndarray,
-    cost: np.ndarray,
-    *,
-    again: bool,
-) -> None:
+def _spread_owners(nearest: NearestComponents, open_to: np.ndarray, *, again: bool) -> None:
     """Write the nearest component and the distance to it into every open voxel.
 
     Where no voxel is closed, all cost the same and no axis is periodic, a shortest path never turns
     back along an axis, and one sweep in each direction finds all of them; else the two are repeated
     (`again`) until nothing changes.
     """
-    depth, number, changed = len(owner), 0, [True]
-    last = np.ones(owner.shape[:2], np.int32)  # sweep in which a row changed
+    depth, number, changed = len(open_to), 0, [True]
+    last = np.ones(open_to.shape[:2], np.int32)  # sweep in which a row changed
     while changed[0]:
         changed[0], number = False, number + 2
 
         def forward(start: int, stop: int, at: int = number - 1) -> None:
-            changed[0] |= bool(_sweep(owner, far, open_to, wraps, cost, last, at, 1, start, stop))
+            changed[0] |= bool(_sweep(nearest, open_to, last, at, 1, start, stop))
 
         def backward(start: int, stop: int, at: int = number) -> None:
             first, end = depth - stop, depth - start
-            changed[0] |= bool(_sweep(owner, far, open_to, wraps, cost, last, at, -1, first, end))
+            changed[0] |= bool(_sweep(nearest, open_to, last, at, -1, first, end))
 
         in_order(forward, depth)
         in_order(backward, depth)
@@ -143,49 +157,40 @@ def _spread_owners(
             return
 
 
-def _tree(
-    owner: np.ndarray, far: np.ndarray, count: int, wraps: np.ndarray
-) -> list[tuple[int, int]]:
+def _tree(nearest: NearestComponents, count: int) -> list[tuple[int, int]]:
     """Find the paths of the minimum spanning tree by Boruvka's rounds.
 
     Each is the flat index and the axis of the two neighbouring voxels at which its halves meet.
     """
-    parent = np.arange(count + 1, dtype=np.int32)
+    parent, depth = np.arange(count + 1, dtype=np.int32), len(nearest.owner)
     paths: list[tuple[int, int]] = []
     while True:
         cost = np.full(count + 1, 2 * NOWHERE, np.int64)
         place = np.full(count + 1, -1, np.int64)
         axis = np.zeros(count + 1, np.int64)
-        in_order(partial(_cheapest, owner, far, wraps, parent, cost, place, axis), len(owner))
+        in_order(partial(_cheapest, nearest, parent, cost, place, axis), depth)
         before = len(paths)
         # Paths have a strict order (cost, then place and axis), so that no ring closes; two trees
         # may name the same path.
         for tree in np.flatnonzero(place >= 0):
-            if _unite(owner, parent, int(place[tree]), int(axis[tree])):
+            if _unite(nearest.owner, parent, int(place[tree]), int(axis[tree])):
                 paths.append((int(place[tree]), int(axis[tree])))
         if len(paths) == before:
             return paths
 
 
-def _follow(
-    owner: np.ndarray,
-    far: np.ndarray,
-    place: int,
-    axis: int,
-    sizes: np.ndarray,
-    wraps: np.ndarray,
-    cost: np.ndarray,
-) -> np.ndarray:
+def _follow(nearest: NearestComponents, place: int, axis: int, sizes: np.ndarray) -> np.ndarray:
     """Return a path from a voxel of the smaller of its two components to one of the larger.
 
     Beyond a periodic face its voxels go on: they are not taken back to the opposite one.
     """
+    owner = nearest.owner
     here = np.array(np.unravel_index(place, owner.shape), np.int64)
     there = here.copy()
     there[axis] = (there[axis] + 1) % owner.shape[axis]
     if sizes[owner[tuple(here)]] > sizes[owner[tuple(there)]]:
         here, there = there, here
-    first, last = (_descend(owner, far, wraps, cost, end) for end in (here, there))
+    first, last = (_descend(nearest, end) for end in (here, there))
     path = np.concatenate([first[::-1], last])
     steps = np.diff(path, axis=0)
     across = np.abs(steps) > 1  # from one face to the opposite one
@@ -213,8 +218,9 @@ def _straighten(path: np.ndarray, open_to: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _seed(first, begin, end, label, numbers, owner, far, start, stop):
+def _seed(first, begin, end, label, numbers, nearest, start, stop):
     """Write distance 0 and the owner into the components to join."""
+    owner, far = nearest.owner, nearest.far
     height = owner.shape[1]
     far[start:stop] = NOWHERE
     for row in range(start * height, stop * height):
@@ -239,13 +245,14 @@ def _step_to(place, side, wraps):
 
 
 @kernel
-def _sweep(owner, far, open_to, wraps, cost, last, number, way, start, stop):
+def _sweep(nearest, open_to, last, number, way, start, stop):
     """Propagate owners in raster order (way 1) or against it (-1); return whether any changed.
 
     A row is left out where neither it nor the rows before it changed in the last sweep or in this
     one, sweep `number`: it has seen all of them. Around a periodic axis a row comes before the
     one that it continues, so that it counts for one sweep more.
     """
+    owner, far, cost, wraps = nearest
     oldest = number - (2 if wraps.any() else 1)
     depth, height, width = owner.shape
     changed = False
@@ -263,27 +270,28 @@ def _sweep(owner, far, open_to, wraps, cost, last, number, way, start, stop):
                 if not open_to[z, y, x]:
                     continue
                 best = np.int64(far[z, y, x])
-                nearest = np.int64(owner[z, y, x])
+                component = np.int64(owner[z, y, x])
                 before = best
                 price = np.int64(cost[z, y, x]) if cost.size else np.int64(1)
                 a = _step_to(x - way, width, wraps[2])
                 if c >= 0 and far[c, y, x] < best - price:
-                    best, nearest = np.int64(far[c, y, x]) + price, np.int64(owner[c, y, x])
+                    best, component = np.int64(far[c, y, x]) + price, np.int64(owner[c, y, x])
                 if b >= 0 and far[z, b, x] < best - price:
-                    best, nearest = np.int64(far[z, b, x]) + price, np.int64(owner[z, b, x])
+                    best, component = np.int64(far[z, b, x]) + price, np.int64(owner[z, b, x])
                 if a >= 0 and far[z, y, a] < best - price:
-                    best, nearest = np.int64(far[z, y, a]) + price, np.int64(owner[z, y, a])
+                    best, component = np.int64(far[z, y, a]) + price, np.int64(owner[z, y, a])
                 if best < before:
                     far[z, y, x] = best
-                    owner[z, y, x] = nearest
+                    owner[z, y, x] = component
                     last[z, y] = number
                     changed = True
     return changed
 
 
 @kernel
-def _cheapest(owner, far, wraps, parent, cost, place, axis, start, stop):
+def _cheapest(nearest, parent, cost, place, axis, start, stop):
     """Find, for every tree of components, the first of the cheapest paths to another tree."""
+    owner, far, _, wraps = nearest
     depth, height, width = owner.shape
     for z in range(start, stop):
         below = _step_to(z + 1, depth, wraps[0])
@@ -326,8 +334,9 @@ def _unite(owner, parent, place, axis):
 
 
 @kernel
-def _descend(owner, far, wraps, cost, voxel):
+def _descend(nearest, voxel):
     """Follow the distance down from `voxel` to its component; return the voxels (n, 3)."""
+    owner, far, cost, wraps = nearest
     path = np.empty((np.int64(far[voxel[0], voxel[1], voxel[2]]) + 1, 3), np.int64)
     path[0] = voxel
     n = 0

@@ -53,14 +53,16 @@ def test_cells_have_the_promised_size(network):
 
 
 def test_a_voxel_does_not_know_where_its_tile_ends(network):
-    """Parts of a latent, halo and all, give the same voxels as the whole."""
+    """Parts of a latent, halo and all, give the same voxels as the whole, but for the order of
+    sums, which is the processor's and may depend on the size.
+    """
     z, edge, halo = latent(network, 3, 3, 2), network.cell, network.halo
     with torch.inference_mode():
         whole = network.cells(z)
         for first in (0, 1, 2):
             part = network.cells(z[:, :, first : first + 1 + 2 * halo])
             torch.testing.assert_close(
-                part, whole[:, :, first * edge : (first + 1) * edge], rtol=1e-5, atol=1e-6
+                part, whole[:, :, first * edge : (first + 1) * edge], rtol=1e-5, atol=1e-5
             )
 
 
