@@ -12,6 +12,7 @@ from trabecula.engine.compile import inline, kernel
 from trabecula.finish.forms import as_form, form_recipe
 from trabecula.finish.labels import background_of, check_present, lift, relabel, with_step
 from trabecula.finish.periodic import periodic_setting
+from trabecula.measure.neighbours import place_along
 from trabecula.measure.phases import as_periodic, indicator
 
 
@@ -84,19 +85,11 @@ def mend_contacts(
 
 
 @inline
-def _index(n, side, wraps):
-    """Return the index of a voxel, -1 outside."""
-    if wraps:
-        return n % side
-    return n if 0 <= n < side else -1
-
-
-@inline
 def _at(inside, wraps, z, y, x):
     """Return whether a voxel is of the phase; those outside of the image are not."""
-    k = _index(z, inside.shape[0], wraps[0])
-    j = _index(y, inside.shape[1], wraps[1])
-    i = _index(x, inside.shape[2], wraps[2])
+    k = place_along(z, inside.shape[0], wraps[0])
+    j = place_along(y, inside.shape[1], wraps[1])
+    i = place_along(x, inside.shape[2], wraps[2])
     return int(k >= 0 and j >= 0 and i >= 0 and inside[k, j, i])
 
 
@@ -149,9 +142,9 @@ def _choose(inside, free, wraps, corner, chosen):
     for value in (1, 0):
         least, most = 1 << 30, -1
         for n in range(8):
-            k = _index(corner[0] - (n >> 2 & 1), shape[0], wraps[0])
-            j = _index(corner[1] - (n >> 1 & 1), shape[1], wraps[1])
-            i = _index(corner[2] - (n & 1), shape[2], wraps[2])
+            k = place_along(corner[0] - (n >> 2 & 1), shape[0], wraps[0])
+            j = place_along(corner[1] - (n >> 1 & 1), shape[1], wraps[1])
+            i = place_along(corner[2] - (n & 1), shape[2], wraps[2])
             if k < 0 or j < 0 or i < 0 or inside[k, j, i] == value or not free[k, j, i]:
                 continue
             before = _contacts_around(inside, wraps, k, j, i)

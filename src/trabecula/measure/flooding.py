@@ -13,6 +13,7 @@ from itertools import product
 import numpy as np
 
 from trabecula.engine.compile import kernel
+from trabecula.measure.neighbours import voxel_at
 
 
 def widest_paths(
@@ -50,16 +51,14 @@ def _flood(rank, seeds, steps, wraps, head, following, best):
     """Take the front from the highest rank down. `head` and `following` are linked lists of the
     voxels of a level: best[voxel].
     """
-    depth, height, width = rank.shape
-    for z in range(depth):
-        for y in range(height):
-            for x in range(width):
-                level = rank[z, y, x]
-                if level > 0 and seeds[z, y, x]:
-                    voxel = (z * height + y) * width + x
-                    best[z, y, x] = level
-                    following[voxel] = head[level]
-                    head[level] = voxel
+    _, height, width = rank.shape
+    levels, starts, reached = rank.ravel(), seeds.ravel(), best.ravel()
+    for voxel in range(rank.size):
+        level = levels[voxel]
+        if level > 0 and starts[voxel]:
+            reached[voxel] = level
+            following[voxel] = head[level]
+            head[level] = voxel
     for level in range(len(head) - 1, 0, -1):
         while head[level] >= 0:
             voxel = head[level]
@@ -70,21 +69,9 @@ def _flood(rank, seeds, steps, wraps, head, following, best):
             y0 = row - z0 * height
             for step in range(len(steps)):
                 z, y, x = z0 + steps[step, 0], y0 + steps[step, 1], x0 + steps[step, 2]
-                if z < 0 or z >= depth:
-                    if not wraps[0]:
-                        continue
-                    z %= depth
-                if y < 0 or y >= height:
-                    if not wraps[1]:
-                        continue
-                    y %= height
-                if x < 0 or x >= width:
-                    if not wraps[2]:
-                        continue
-                    x %= width
-                if rank[z, y, x] > 0 and best[z, y, x] == 0:
-                    reached = min(rank[z, y, x], level)
-                    best[z, y, x] = reached
-                    other = (z * height + y) * width + x
-                    following[other] = head[reached]
-                    head[reached] = other
+                other = voxel_at(z, y, x, rank.shape, wraps)
+                if other >= 0 and levels[other] > 0 and reached[other] == 0:
+                    to = min(levels[other], level)
+                    reached[other] = to
+                    following[other] = head[to]
+                    head[to] = other

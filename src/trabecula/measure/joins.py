@@ -22,8 +22,9 @@ from typing import NamedTuple
 import numpy as np
 
 from trabecula.engine import memmap
-from trabecula.engine.compile import inline, kernel
+from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import in_order, sum_slabs
+from trabecula.measure.neighbours import place_along
 from trabecula.measure.runs import Runs
 from trabecula.measure.union_find import root_of
 
@@ -232,18 +233,6 @@ def _seed(first, begin, end, label, numbers, nearest, start, stop):
                 far[z, y, begin[k] : end[k]] = 0
 
 
-@inline
-def _step_to(place, side, wraps):
-    """Return a neighbour's place along an axis, beyond a periodic face the opposite one; else -1
-    beyond a face.
-    """
-    if place < 0:
-        return side - 1 if wraps else -1
-    if place == side:
-        return 0 if wraps else -1
-    return place
-
-
 @kernel
 def _sweep(nearest, open_to, last, number, way, start, stop):
     """Propagate owners in raster order (way 1) or against it (-1); return whether any changed.
@@ -258,10 +247,10 @@ def _sweep(nearest, open_to, last, number, way, start, stop):
     changed = False
     for i in range(stop - start):
         z = start + i if way > 0 else stop - 1 - i
-        c = _step_to(z - way, depth, wraps[0])
+        c = place_along(z - way, depth, wraps[0])
         for j in range(height):
             y = j if way > 0 else height - 1 - j
-            b = _step_to(y - way, height, wraps[1])
+            b = place_along(y - way, height, wraps[1])
             seen = max(last[z, y], last[c, y] if c >= 0 else 0, last[z, b] if b >= 0 else 0)
             if seen < oldest:
                 continue
@@ -273,7 +262,7 @@ def _sweep(nearest, open_to, last, number, way, start, stop):
                 component = np.int64(owner[z, y, x])
                 before = best
                 price = np.int64(cost[z, y, x]) if cost.size else np.int64(1)
-                a = _step_to(x - way, width, wraps[2])
+                a = place_along(x - way, width, wraps[2])
                 if c >= 0 and far[c, y, x] < best - price:
                     best, component = np.int64(far[c, y, x]) + price, np.int64(owner[c, y, x])
                 if b >= 0 and far[z, b, x] < best - price:
@@ -294,14 +283,14 @@ def _cheapest(nearest, parent, cost, place, axis, start, stop):
     owner, far, _, wraps = nearest
     depth, height, width = owner.shape
     for z in range(start, stop):
-        below = _step_to(z + 1, depth, wraps[0])
+        below = place_along(z + 1, depth, wraps[0])
         for y in range(height):
-            behind = _step_to(y + 1, height, wraps[1])
+            behind = place_along(y + 1, height, wraps[1])
             for x in range(width):
                 here = owner[z, y, x]
                 if here == 0:
                     continue
-                beside = _step_to(x + 1, width, wraps[2])
+                beside = place_along(x + 1, width, wraps[2])
                 for step in range(3):
                     k = below if step == 0 else z
                     j = behind if step == 1 else y
@@ -349,9 +338,9 @@ def _descend(nearest, voxel):
         n += 1
         for side in range(6):
             step, axis = 2 * (side % 2) - 1, side // 2
-            k = _step_to(z + step * (axis == 0), far.shape[0], wraps[0])
-            j = _step_to(y + step * (axis == 1), far.shape[1], wraps[1])
-            i = _step_to(x + step * (axis == 2), far.shape[2], wraps[2])
+            k = place_along(z + step * (axis == 0), far.shape[0], wraps[0])
+            j = place_along(y + step * (axis == 1), far.shape[1], wraps[1])
+            i = place_along(x + step * (axis == 2), far.shape[2], wraps[2])
             if k < 0 or j < 0 or i < 0:
                 continue
             if far[k, j, i] == left and owner[k, j, i] == owner[z, y, x]:

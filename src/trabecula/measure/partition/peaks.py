@@ -18,6 +18,7 @@ import numpy as np
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.labelling import label_components
+from trabecula.measure.neighbours import voxel_at
 from trabecula.measure.smooth import gaussian, reach_of
 
 
@@ -106,7 +107,8 @@ def _ball(radius: float, steps: np.ndarray) -> np.ndarray:
 @kernel
 def _mark_highest(smooth, components, ball, wraps, candidate, start, stop):
     """Mark the voxels that no voxel of the ball exceeds, of those in the same component."""
-    depth, height, width = smooth.shape
+    _, height, width = smooth.shape
+    heights, parts = smooth.ravel(), components.ravel()
     for z0 in range(start, stop):
         for y0 in range(height):
             for x0 in range(width):
@@ -117,19 +119,8 @@ def _mark_highest(smooth, components, ball, wraps, candidate, start, stop):
                 highest = True
                 for k in range(len(ball)):
                     z, y, x = z0 + ball[k, 0], y0 + ball[k, 1], x0 + ball[k, 2]
-                    if z < 0 or z >= depth:
-                        if not wraps[0]:
-                            continue
-                        z %= depth
-                    if y < 0 or y >= height:
-                        if not wraps[1]:
-                            continue
-                        y %= height
-                    if x < 0 or x >= width:
-                        if not wraps[2]:
-                            continue
-                        x %= width
-                    if smooth[z, y, x] > value and components[z, y, x] == own:
+                    other = voxel_at(z, y, x, smooth.shape, wraps)
+                    if other >= 0 and heights[other] > value and parts[other] == own:
                         highest = False
                         break
                 candidate[z0, y0, x0] = highest
@@ -159,20 +150,8 @@ def _climb(distance, around, wraps, places, starts, seen):
             z0, y0, x0 = v // (height * width), v // width % height, v % width
             for step in range(len(around)):
                 z, y, x = z0 + around[step, 0], y0 + around[step, 1], x0 + around[step, 2]
-                if z < 0 or z >= depth:
-                    if not wraps[0]:
-                        continue
-                    z %= depth
-                if y < 0 or y >= height:
-                    if not wraps[1]:
-                        continue
-                    y %= height
-                if x < 0 or x >= width:
-                    if not wraps[2]:
-                        continue
-                    x %= width
-                other = (z * height + y) * width + x
-                if flat[other] > flat[best]:
+                other = voxel_at(z, y, x, distance.shape, wraps)
+                if other >= 0 and flat[other] > flat[best]:
                     best = other
         if marked[best] > 0:
             continue
@@ -186,19 +165,9 @@ def _climb(distance, around, wraps, places, starts, seen):
             z0, y0, x0 = v // (height * width), v // width % height, v % width
             for step in range(len(around)):
                 z, y, x = z0 + around[step, 0], y0 + around[step, 1], x0 + around[step, 2]
-                if z < 0 or z >= depth:
-                    if not wraps[0]:
-                        continue
-                    z %= depth
-                if y < 0 or y >= height:
-                    if not wraps[1]:
-                        continue
-                    y %= height
-                if x < 0 or x >= width:
-                    if not wraps[2]:
-                        continue
-                    x %= width
-                other = (z * height + y) * width + x
+                other = voxel_at(z, y, x, distance.shape, wraps)
+                if other < 0:
+                    continue
                 if flat[other] > level or (flat[other] == level and 0 < marked[other] < own):
                     saddle = True
                     break
