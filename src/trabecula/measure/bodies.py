@@ -225,13 +225,7 @@ def bodies(
     )
     scale = min(image.spacing)
     found = find_interfaces(cut)
-    shapes = measure_shapes(
-        cut.labels,
-        cut.count,
-        cut.steps,
-        cut.wraps,
-        cut.crossed if cut.crossed.size > 1 else None,
-    )
+    shapes = measure_shapes(cut)
     values, vectors = np.linalg.eigh(shapes.covariance)
     directions = np.swapaxes(vectors, 1, 2)[:, ::-1]
     lead = np.take_along_axis(

@@ -97,13 +97,7 @@ def network(
     )
     scale = min(image.spacing)
     found = find_interfaces(cut)
-    shapes = measure_shapes(
-        cut.labels,
-        cut.count,
-        cut.steps,
-        cut.wraps,
-        cut.crossed if cut.crossed.size > 1 else None,
-    )
+    shapes = measure_shapes(cut)
     peaks = cut.peaks * cut.steps
     radius = cut.distance[tuple(cut.peaks.T)].astype(np.float64) - _TO_WALL
     between = found.second >= 0

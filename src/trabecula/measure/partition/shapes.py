@@ -15,6 +15,7 @@ import numpy as np
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import sum_slabs
 from trabecula.measure.configurations import direction_shares
+from trabecula.measure.partition.partition import Partition
 
 _HALF = np.array([s for s in product((-1, 0, 1), repeat=3) if s > (0, 0, 0)])
 """The 13 directions to neighbours, one of each pair."""
@@ -22,7 +23,7 @@ _HALF = np.array([s for s in product((-1, 0, 1), repeat=3) if s > (0, 0, 0)])
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """Shapes of N regions, in the unit of the edges given."""
+    """Shapes of N regions. Lengths are in units of the smallest voxel edge."""
 
     volume: np.ndarray
     """(N,)"""
@@ -34,29 +35,10 @@ class Shapes:
     """(N, 3, 3) second moments of the volume about its centroid, over the volume."""
 
 
-def measure_shapes(
-    labels: np.ndarray,
-    count: int,
-    edges: np.ndarray,
-    wraps: tuple[bool, ...],
-    crossed: np.ndarray | None = None,
-) -> Shapes:
-    """Measure the shapes of regions.
-
-    Parameters
-    ----------
-    labels : int32 array, (Z, Y, X)
-        0 outside, 1 .. `count`.
-    count : int
-    edges : float64 array, (3,)
-        Of a voxel.
-    wraps : three bool
-        Axes that repeat.
-    crossed : int8 array, (Z, Y, X), optional
-        Codes of `Partition.crossed`; regions that lie across a face are put together by them.
-    """
-    codes = np.zeros((1, 1, 1), np.int8) if crossed is None else crossed
-    sums = _moments(labels, codes, count)
+def measure_shapes(regions: Partition) -> Shapes:
+    """Measure the shapes of regions; those that lie across a periodic face are put together."""
+    labels, count, edges = regions.labels, regions.count, regions.steps
+    sums = _moments(labels, regions.crossed, count)
     volume = np.maximum(sums[:, 0], 1.0)
     mean = sums[:, 1:4] / volume[:, None]
     square = np.empty((count, 3, 3))
@@ -65,7 +47,7 @@ def measure_shapes(
         square[:, a, b] = square[:, b, a] = (moment + (a == b) / 12) * edges[a] * edges[b]
     voxel = float(np.prod(edges))
     around = np.pad(labels, 1)
-    for axis, wrap in enumerate(wraps):
+    for axis, wrap in enumerate(regions.wraps):
         if wrap:
             layers = np.moveaxis(around, axis, 0)
             layers[0], layers[-1] = layers[-2], layers[1]

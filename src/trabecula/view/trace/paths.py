@@ -181,33 +181,14 @@ def _material(space, rows, drawn, linear, point, normal, cut, light, turn, surfa
     x, y, z = (point[0] - 0.4 * normal[0], point[1] - 0.4 * normal[1], point[2] - 0.4 * normal[2])
     row = rows[label_at(space.labels, space.form, drawn, x, y, z)]
     lift, fine = along(light, UP, normal), 4 if turn == 0 else 1
-    if space.colours.shape[0] > 0:
+    coloured, red, green, blue = space.colours.shape[0] > 0, 0.0, 0.0, 0.0
+    if coloured:
         _colour_at(space.colours, space.field, space.form, linear, x, y, z, surface)
         red, green, blue = surface[0], surface[1], surface[2]
-        shade(
-            space.rim,
-            space.coarse,
-            row,
-            point[0],
-            point[1],
-            point[2],
-            -1.0 if cut else lift,
-            fine,
-            surface,
-        )
+    up = -1.0 if cut else lift
+    shade(space.rim, space.coarse, row, point[0], point[1], point[2], up, fine, surface)
+    if coloured:
         surface[0], surface[1], surface[2] = red, green, blue
-    else:
-        shade(
-            space.rim,
-            space.coarse,
-            row,
-            point[0],
-            point[1],
-            point[2],
-            -1.0 if cut else lift,
-            fine,
-            surface,
-        )
     if turn == 0:
         tilt(row, point[0], point[1], point[2], normal)
 
