@@ -84,8 +84,8 @@ def test_an_offset_meets_the_fraction_around_every_place(noise):
     line = np.linspace(0.25, 0.55, 48, dtype=np.float32)
     wanted = np.ascontiguousarray(np.broadcast_to(line[:, None, None], noise.shape))
     local = LocalOffset.of(Region(noise.shape), wanted, 20)
-    for number in range(40):
-        local.step(noise, low=-2e4, high=2e4, every=2 if number < 30 else 1)
+    for _ in range(40):
+        local.step(noise, low=-2e4, high=2e4)
     votes = noise.copy()
     local.add_to(votes)
     before, after = window_errors(noise, wanted), window_errors(votes, wanted)

@@ -102,11 +102,11 @@ class LocalOffset:
         """Return the blocks that hold voxels, as an open mesh of one index array an axis."""
         return np.ix_(*(place // self.edge for place in places))
 
-    def step(self, votes: np.ndarray, *, low: float, high: float, every: int = 1) -> None:
+    def step(self, votes: np.ndarray, *, low: float, high: float) -> None:
         """Move the offset of votes (Z, Y, X), int16 or an int8 field, by one step, within bounds;
-        what was missing is counted with the offset as it was, in one of `every` planes and rows.
+        what was missing is counted with the offset as it was.
         """
-        inside, near = self._count(votes, self.offset, every)
+        inside, near = self._count(votes, self.offset)
         self._move(inside, near, low, high, haste=_HASTE, again=_AGAIN)
 
     def integrate(self, votes: np.ndarray, *, low: float, high: float) -> None:
@@ -122,9 +122,7 @@ class LocalOffset:
         """Go on from the arrays of a checkpoint."""
         self.offset, self._step = arrays["offset"], arrays["offset step"]
 
-    def _count(
-        self, votes: np.ndarray, offset: np.ndarray, every: int = 1
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _count(self, votes: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Count voxels inside and near the interface, over the windows around every block."""
         tallies = [np.zeros(offset.shape, np.int32) for _ in range(2)]
         free, wraps = _whole(self.region), np.array(self.region.wraps)
@@ -138,7 +136,6 @@ class LocalOffset:
                 self.edge,
                 wraps,
                 scale,
-                every,
                 tallies[0],
                 tallies[1],
                 start,
@@ -240,15 +237,14 @@ def _fill_row(offset, edge, wraps, z, y, line, before, behind, share, row):
 
 
 @kernel
-def _tally(votes, free, offset, edge, wraps, scale, every, inside, near, start, stop):
+def _tally(votes, free, offset, edge, wraps, scale, inside, near, start, stop):
     """Count the voxels of every block that are inside with the offset, and near the interface."""
     depth, height, width = votes.shape
     line, row = np.empty(offset.shape[2], np.float32), np.empty(width, np.float32)
     before, behind, share = _places_between(width, edge, len(line), wraps[2])
     limit = np.float32(_NEAR)
-    first = (start * edge + every - 1) // every * every
-    for z in range(first, min(stop * edge, depth), every):
-        for y in range(0, height, every):
+    for z in range(start * edge, min(stop * edge, depth)):
+        for y in range(height):
             _fill_row(offset, edge, wraps, z, y, line, before, behind, share, row)
             for k in range(len(line)):
                 held, close = np.int32(0), np.int32(0)
@@ -258,8 +254,8 @@ def _tally(votes, free, offset, edge, wraps, scale, every, inside, near, start, 
                     value = np.float32(np.int32(votes[z, y, x]) * scale) + row[x]
                     held += np.int32(value > 0)
                     close += np.int32(-limit <= value <= limit)
-                inside[z // edge, y // edge, k] += held * every * every
-                near[z // edge, y // edge, k] += close * every * every
+                inside[z // edge, y // edge, k] += held
+                near[z // edge, y // edge, k] += close
 
 
 @kernel
