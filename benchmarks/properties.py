@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 import trabecula as tb
-from common import busy, table
+from common import asked, busy, table
 from descriptors import scans
+from trabecula import fields
 from trabecula.core.errors import RequestError
 from trabecula.measure.properties import measure_property
 from trabecula.pipeline.property_target import match_property
@@ -57,3 +60,57 @@ def properties() -> None:
                 f"{seconds:.0f}",
             )
     print(f"\nwithin 5 %: {within} of {done}")
+
+
+LAWS = (
+    ("sample bone", "conductivity"),
+    ("sample bone", "stiffness"),
+    ("bone a", "stiffness"),
+    ("Berea", "permeability"),
+)
+SHAPE = (128, 64, 64)
+
+
+def property_fields() -> None:
+    """Fields of a property (section 3.2 of the 2016 paper): the law of the scan's windows, 120^3,
+    a third of a side each, and a ramp of the property along z between their tenths, 128 x 64 x 64,
+    seed 1, by `asked("METHODS")` (texture and quilt): mean over windows of what the result has,
+    over what was asked for, and at both ends.
+    """
+    known = {"sample bone": tb.sample("bone"), **scans()}
+    row = table("scan, property", "c", "n", "scatter", "method", "ratio", "first", "last", "s")
+    for name, what in LAWS:
+        if name not in known:
+            continue
+        exemplar = tb.crop(known[name], min(120, *known[name].shape))
+        law = fields.property_law(exemplar, what)
+        limits = np.quantile(law.fractions, [0.1, 0.9])
+        low, high = (float(law.coefficient * one**law.exponent) for one in limits)
+        wanted = fields.ramp(SHAPE, start=low, end=high)
+        for method in asked("METHODS") or ["texture", "quilt"]:
+            model, target = tb.method(method).fit(exemplar), law.fraction(wanted)
+            request = tb.Request(SHAPE, seed=1, target={"volume_fraction": target})
+            seconds, made = busy(lambda m=model, r=request: m.generate(r))
+            ratios = _ratios(made, wanted, what, side=min(exemplar.shape) // 3)
+            row(
+                f"{name}, {what}",
+                f"{law.coefficient:.3g}",
+                f"{law.exponent:.2f}",
+                f"{law.scatter:.2f}",
+                method,
+                *(f"{one:.2f}" for one in (ratios.mean(), ratios[0], ratios[-1])),
+                f"{seconds:.0f}",
+            )
+
+
+def _ratios(made: tb.Image, wanted: tb.Image, what: str, *, side: int) -> np.ndarray:
+    """Return the property of windows over what was asked for there, a mean for every layer."""
+    found = []
+    for z in range(0, made.shape[0] - side + 1, side // 2):
+        values = [
+            measure_property(tb.crop(made, side, corner=(z, y, x)), what)
+            for y in (0, made.shape[1] - side)
+            for x in (0, made.shape[2] - side)
+        ]
+        found.append(np.mean(values) / wanted.values[z : z + side].mean())
+    return np.array(found)

@@ -160,3 +160,5 @@ def test_quilt_follows_a_field_of_directions():
         tb.measure.fabric(part).directions[0] for part in (made[:, :, :16], made[:, :, 24:])
     )
     assert angle(first, np.array([0, 1, 0])) < 12 and angle(last, np.array([1, 0, 0])) < 12
+    other = model.generate(shape, seed=4, target={"orientation": ways})
+    assert np.mean(other.values != made.values) > 0.05

@@ -15,6 +15,7 @@ from trabecula.core.errors import InputError
 KINDS = {
     "measure": "of an image: a descriptor of the window around every voxel",
     "density": "of an image: a local density that varies as the image's, of any shape",
+    "property": "of a field of a property: the volume fraction at which an exemplar has it",
     "ramp": "linear from one face to the opposite one",
     "radial": "linear from a middle outwards",
     "formula": "by a formula in z y x (positions) and Z Y X (sides)",
@@ -73,6 +74,35 @@ def run(options: argparse.Namespace) -> int:
             f"{report['mean']:.4g}"
         )
     return 0
+
+
+def _add_property(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "file", metavar="EXEMPLAR", help="volume of void and solid, or a scan, or sample:NAME"
+    )
+    parser.add_argument(
+        "name", metavar="NAME", help="stiffness, conductivity, diffusivity, permeability; or NAME:z"
+    )
+    parser.add_argument(
+        "values", metavar="FIELD", help="the property at every voxel (.npy .tif .zarr ...)"
+    )
+    parser.add_argument(
+        "--window", metavar="N", help="side of the windows in voxels (default: a third)"
+    )
+    parser.add_argument("--count", default="24", metavar="N", help="windows solved (default 24)")
+    shared.add_reading(parser)
+
+
+def _property(fields: Any, options: argparse.Namespace) -> Any:
+    from trabecula.pipeline.inputs import load
+
+    exemplar = shared.load_exemplar(options.file, options)
+    window = None if options.window is None else shared.integer(options.window, name="--window")
+    law = fields.property_law(
+        exemplar, options.name, window=window, count=shared.integer(options.count, name="--count")
+    )
+    terminal.note(str(law))
+    return law.fraction(load(options.values, threshold="none", kind="grey"))
 
 
 def _add_grid(parser: argparse.ArgumentParser) -> None:
@@ -567,6 +597,7 @@ def _import(fields: Any, options: argparse.Namespace) -> Any:
 _ARGUMENTS = {
     "measure": _add_measure,
     "density": _add_density,
+    "property": _add_property,
     "ramp": _add_ramp,
     "radial": _add_radial,
     "formula": _add_formula,
@@ -580,6 +611,7 @@ _ARGUMENTS = {
 _MAKERS = {
     "measure": _measure,
     "density": _density,
+    "property": _property,
     "ramp": _ramp,
     "radial": _radial,
     "formula": _formula,

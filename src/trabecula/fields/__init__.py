@@ -22,6 +22,7 @@ from trabecula.fields.directions import (
 from trabecula.fields.grid import formula, picture, radial, ramp
 from trabecula.fields.interpolate import fill, interpolate, resample, rescale
 from trabecula.fields.local import directions, measure, windowed
+from trabecula.fields.property_law import PropertyLaw, fraction_for, property_law
 from trabecula.fields.solver_result import import_result
 from trabecula.fields.topology import (
     PrincipalStress,
@@ -40,6 +41,7 @@ FROM_AN_IMAGE: dict[str, Callable[..., Image]] = {
     "rescale": rescale,
     "fill": fill,
     "part_stress": part_stress,
+    "fraction_for": fraction_for,
 }
 FROM_NOTHING: dict[str, Callable[..., Image]] = {
     "ramp": ramp,
@@ -55,6 +57,7 @@ __all__ = [
     "FROM_NOTHING",
     "Directions",
     "PrincipalStress",
+    "PropertyLaw",
     "case",
     "continue_directions",
     "density_like",
@@ -64,12 +67,14 @@ __all__ = [
     "fabric_directions",
     "fill",
     "formula",
+    "fraction_for",
     "import_result",
     "interpolate",
     "measure",
     "part_stress",
     "picture",
     "principal_stress",
+    "property_law",
     "radial",
     "ramp",
     "read_directions",

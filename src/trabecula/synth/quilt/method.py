@@ -32,7 +32,7 @@ from trabecula.synth.quilt.connectivity import label_slabwise
 from trabecula.synth.quilt.patch_library import PatchLibrary, label_bits, void_label
 from trabecula.synth.quilt.period import phase_key, positions_in_phase
 from trabecula.synth.quilt.run import QuiltRun, run_stages
-from trabecula.synth.quilt.turned import frame_targets, frame_weights, turned_library
+from trabecula.synth.quilt.turned import frame_config, frame_targets, turned_library
 from trabecula.synth.shared.frames import frames_of
 from trabecula.synth.shared.orient import symmetries
 from trabecula.synth.shared.turned_exemplars import DIRECTIONS, copied_voxels
@@ -115,7 +115,7 @@ class QuiltModel(Model):
             library = turned_library(self.exemplars, library, config, frames)
             void = [np.mean(one.values == void_label(one.phases)) for one in self.exemplars]
             target = frame_targets(target, float(np.mean(void)))
-            config = replace(config, weights=frame_weights(config.weights))
+            config = frame_config(config)
         run = QuiltRun(library, config, request, target)
         values = run.lay_all()
         return values.reshape(request.shape), run.trace

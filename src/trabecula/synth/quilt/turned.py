@@ -24,6 +24,8 @@ from trabecula.synth.shared.turned_exemplars import (
 _FABRIC = tuple(f"fabric:{'zyx'[i]}{'zyx'[j]}" for i, j in PAIRS)
 _SIZE = "size"
 
+_VARIETY = 0.02  # least; hardly two patches have one fabric, so all seeds would choose the same
+
 
 def turned_library(
     exemplars: Sequence[Image], library: PatchLibrary, config: QuiltConfig, frames: TargetFrames
@@ -77,8 +79,12 @@ def frame_targets(target: Mapping[str, Target], porosity: float) -> dict[str, Ta
     return found
 
 
-def frame_weights(weights: Mapping[str, float]) -> dict[str, float]:
-    """Return weights by descriptor, those of a direction shared among the entries of the fabric."""
-    share = weights.get("orientation", 1.0) / 3
-    found = {name: weight for name, weight in weights.items() if name not in FRAME}
-    return {**found, **dict.fromkeys(_FABRIC, share), _SIZE: weights.get("size", 1.0)}
+def frame_config(config: QuiltConfig) -> QuiltConfig:
+    """Return the settings of patches that follow a frame: the weight of the direction is shared
+    among the entries of the fabric, and some variety makes results depend on their seeds.
+    """
+    share = config.weights.get("orientation", 1.0) / 3
+    found = {name: weight for name, weight in config.weights.items() if name not in FRAME}
+    size = config.weights.get("size", 1.0)
+    weights = {**found, **dict.fromkeys(_FABRIC, share), _SIZE: size}
+    return replace(config, weights=weights, variety=max(config.variety, _VARIETY))
