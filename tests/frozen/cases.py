@@ -316,6 +316,12 @@ def _texture_default() -> tb.Image:
     return tb.method("texture").fit(bone(24)).generate(SHAPE, seed=6)
 
 
+@case("texture-plain-votes")
+def _texture_plain_votes() -> tb.Image:
+    """Make what a default of before, whose votes were plain means of distances, made."""
+    return tb.method("texture", vote_power=1.0).fit(bone(24)).generate(SHAPE, seed=6)
+
+
 @case("texture-energy")
 def _texture_energy() -> tb.Image:
     settings = {**QUICK["texture"], "gradient": 0.1, "adaptive": True, "orientations": "mirrors"}

@@ -21,7 +21,7 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.engine.memory import Stage, Workspace, within
+from trabecula.engine.memory import Array, Stage, Workspace, within
 from trabecula.synth.shared.coarse_to_fine import CoarseToFine, RoundStage
 from trabecula.synth.shared.content.fields import noise, votes_of
 from trabecula.synth.shared.content.histogram import Histogram
@@ -29,9 +29,11 @@ from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_m
 from trabecula.synth.shared.matching.region import Region, has_cube
 from trabecula.synth.shared.matching.rounds import cast_votes, match_votes, refine_field
 from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
+from trabecula.synth.shared.matching.vote_power import power_for, power_stages, raise_distances
 from trabecula.synth.shared.slabs import complement, count_true
 from trabecula.synth.shared.stages import LevelMemory, layout_stages, region_arrays
 from trabecula.synth.shared.statistics.density_slopes import DensitySlopes
+from trabecula.synth.shared.statistics.euler import euler_densities
 from trabecula.synth.shared.statistics.interface import interface_share, share_at, shorten_move
 from trabecula.synth.shared.statistics.long_waves import (
     adjust_long_waves,
@@ -99,6 +101,8 @@ class NovelSettings(Protocol):
     def index_penalty(self) -> float: ...
     @property
     def robustness(self) -> float: ...
+    @property
+    def vote_power(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -130,7 +134,7 @@ class Pass:
 @dataclass(frozen=True)
 class Aims:
     """Targets of one level, learnt from the exemplars; with an `interface` (C,), the most that
-    steps may make of it.
+    steps may make of it, and with `euler` (2C,), the Euler densities that votes are to leave.
     """
 
     stack: Stack
@@ -138,13 +142,16 @@ class Aims:
     correlations: Correlations
     candidates: tuple[Candidates, ...]  # one per pass on this level
     interface: np.ndarray | None = None
+    euler: np.ndarray | None = None
 
     def with_targets(self, histograms: tuple[Histogram, ...], correlations: Correlations) -> Aims:
         """Return the targets of material with these histograms and two-point functions."""
         share = self.interface
         if share is not None:
             share = share_at(share, self.correlations, correlations)
-        return replace(self, histograms=histograms, correlations=correlations, interface=share)
+        return replace(
+            self, histograms=histograms, correlations=correlations, interface=share, euler=None
+        )
 
 
 def passes(novelty: float, top: int, layout: str, *, beside: bool = False) -> tuple[Pass, ...]:
@@ -244,7 +251,8 @@ def aims_of(
         if p.level == level
     ]
     share = interface_share(fields) if whole else None
-    return Aims(stack, stack.histograms, correlations, tuple(made), share)
+    euler = euler_densities(fields) if level == 0 and not config.vote_power else None
+    return Aims(stack, stack.histograms, correlations, tuple(made), share, euler)
 
 
 def with_histograms(aims: Aims, histograms: tuple[Histogram, ...]) -> Aims:
@@ -338,6 +346,8 @@ class PassStage(RoundStage):
     target : Correlations
     interface : (C,) float, optional
         The most that steps may leave.
+    euler : (2C,) float, optional
+        What votes are to leave.
     stage : uint64
         Key of its random numbers.
     last : bool
@@ -349,6 +359,7 @@ class PassStage(RoundStage):
     grid: Grid
     target: Correlations
     interface: np.ndarray | None
+    euler: np.ndarray | None
     stage: np.uint64
     last: bool
 
@@ -430,6 +441,7 @@ class NovelRounds(CoarseToFine[Any]):
             grid,
             aims.correlations,
             None if aims.interface is None else part.roughest * aims.interface,
+            aims.euler if self.on_torus else None,
             key(self.request.seed, f"novel/pass {number}"),
             number == len(self.schedule) - 1,
         )
@@ -477,7 +489,11 @@ class NovelRounds(CoarseToFine[Any]):
         target, periodic = self.aims[part.level].correlations, self.request.periodic
         step = self._step_stages(level.covered.shape, target, periodic)
         waves = within({**level.base, **level.votes}, wave_stages(level.volume))
-        return (*replace(level, correction=step).stages(), *waves)
+        stages = (*replace(level, correction=step).stages(), *waves)
+        if self.aims[part.level].euler is None:
+            return stages
+        weight = {"weight0": Array(level.grids[0], np.int32)}
+        return (*stages, *within({**level.base, **weight}, power_stages(level.volume)))
 
     def _step_stages(
         self, shape: Sequence[int], target: Correlations, periodic: Sequence[bool]
@@ -589,8 +605,14 @@ class NovelRounds(CoarseToFine[Any]):
     def vote(self, stage: PassStage, number: int) -> None:
         """Make the field that the matches vote for."""
         work, grid, trim = self.work, stage.grid, 1 if stage.part.level == 0 else 0
+        matched = grid, work["match0"], work["weight0"]
+        power = self.config.vote_power if stage.part.level == 0 else 1.0
+        if stage.euler is not None:
+            work.enter("try powers")
+            power = power_for(*matched, stage.euler, trim=trim)
         work.enter("vote")
-        work.adopt("votes", cast_votes(grid, work["match0"], work["weight0"], trim=trim))
+        voting = raise_distances(grid.candidates.stack.field, power or 1.0)
+        work.adopt("votes", cast_votes(*matched, trim=trim, field=voting))
         self.join_votes(grid.region)
         self.match_field(grid.region, grid.targets)
 
