@@ -10,8 +10,8 @@ from trabecula.synth.shared.matching.grid import Grid, targets_of
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import cast_votes, equal_weights, match_votes
 from trabecula.synth.shared.matching.sources import Candidates, Stack
-from trabecula.synth.shared.matching.vote_power import power_for, raise_distances
-from trabecula.synth.shared.statistics.euler import euler_densities
+from trabecula.synth.shared.matching.vote_power import lower_votes, power_for, raise_distances
+from trabecula.synth.shared.statistics.euler import euler_densities, euler_slopes
 from trabecula.synth.texture.config import TextureConfig
 
 SIDE, WIDTH, STEP = 32, 6, 2
@@ -60,6 +60,27 @@ def test_several_fields_count_by_their_size(bone_field):
     np.testing.assert_allclose(
         euler_densities([bone_field, small]), np.average(each, axis=0, weights=cubes)
     )
+
+
+def test_slopes_say_what_places_of_other_weights_hold(bone_field):
+    """Where the first planes weigh twice and the last nothing, only the first count."""
+    g = np.where(np.arange(SIDE)[:, None, None] < 16, 1, -1) + np.zeros((SIDE,) * 3)
+    moved = euler_densities([bone_field]) + euler_slopes([bone_field], [g])
+    first = np.ascontiguousarray(bone_field[:, :17])  # 16 layers of cubes
+    shares = (2 * 16 * 31**2 * euler_densities([first]) - 31**2 * euler_densities([bone_field])) / (
+        31**3
+    )
+    np.testing.assert_allclose(moved, shares)
+
+
+@pytest.mark.parametrize("power", [0.35, 1.0, 2.0])
+def test_lowered_votes_are_those_of_distances(power):
+    steps = np.arange(-127, 128).astype(np.int8)
+    raised = raise_distances(steps, power).astype(np.int16) * 256
+    lowered = lower_votes(raised.reshape(1, 1, 1, -1).copy(), power).ravel() / 256
+    far = np.abs(steps) >= 30
+    np.testing.assert_allclose(lowered[far], steps[far], atol=3)
+    assert (np.diff(lowered) >= 0).all()
 
 
 @pytest.mark.parametrize("power", [0.5, 1.0, 2.0])

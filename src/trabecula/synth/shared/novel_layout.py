@@ -29,7 +29,13 @@ from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_m
 from trabecula.synth.shared.matching.region import Region, has_cube
 from trabecula.synth.shared.matching.rounds import cast_votes, match_votes, refine_field
 from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
-from trabecula.synth.shared.matching.vote_power import power_for, power_stages, raise_distances
+from trabecula.synth.shared.matching.vote_power import (
+    BESIDE,
+    lower_votes,
+    power_for,
+    power_stages,
+    raise_distances,
+)
 from trabecula.synth.shared.slabs import complement, count_true
 from trabecula.synth.shared.stages import LevelMemory, layout_stages, region_arrays
 from trabecula.synth.shared.statistics.density_slopes import DensitySlopes
@@ -149,9 +155,7 @@ class Aims:
         share = self.interface
         if share is not None:
             share = share_at(share, self.correlations, correlations)
-        return replace(
-            self, histograms=histograms, correlations=correlations, interface=share, euler=None
-        )
+        return replace(self, histograms=histograms, correlations=correlations, interface=share)
 
 
 def passes(novelty: float, top: int, layout: str, *, beside: bool = False) -> tuple[Pass, ...]:
@@ -251,7 +255,8 @@ def aims_of(
         if p.level == level
     ]
     share = interface_share(fields) if whole else None
-    euler = euler_densities(fields) if level == 0 and not config.vote_power else None
+    choose = whole and level == 0 and not config.vote_power
+    euler = euler_densities(fields) if choose else None
     return Aims(stack, stack.histograms, correlations, tuple(made), share, euler)
 
 
@@ -269,7 +274,9 @@ def at_density(aims: Aims, slopes: DensitySlopes, t: float) -> Aims:
     histograms = tuple(
         slopes.histogram(own, channel, t) for channel, own in enumerate(aims.histograms)
     )
-    return aims.with_targets(histograms, slopes.correlations(aims.correlations, t))
+    found = aims.with_targets(histograms, slopes.correlations(aims.correlations, t))
+    euler = None if aims.euler is None else aims.euler + t * slopes.euler
+    return replace(found, euler=euler)
 
 
 def slices_for(
@@ -441,7 +448,7 @@ class NovelRounds(CoarseToFine[Any]):
             grid,
             aims.correlations,
             None if aims.interface is None else part.roughest * aims.interface,
-            aims.euler if self.on_torus else None,
+            aims.euler,
             key(self.request.seed, f"novel/pass {number}"),
             number == len(self.schedule) - 1,
         )
@@ -606,15 +613,26 @@ class NovelRounds(CoarseToFine[Any]):
         """Make the field that the matches vote for."""
         work, grid, trim = self.work, stage.grid, 1 if stage.part.level == 0 else 0
         matched = grid, work["match0"], work["weight0"]
-        power = self.config.vote_power if stage.part.level == 0 else 1.0
-        if stage.euler is not None:
+        power = self._power(stage)
+        if power is None and stage.euler is not None:
             work.enter("try powers")
             power = power_for(*matched, stage.euler, trim=trim)
         work.enter("vote")
         voting = raise_distances(grid.candidates.stack.field, power or 1.0)
-        work.adopt("votes", cast_votes(*matched, trim=trim, field=voting))
+        votes = cast_votes(*matched, trim=trim, field=voting)
+        if grid.region.low is not None:
+            lower_votes(votes, power or 1.0)  # the joint goes by distances
+        work.adopt("votes", votes)
         self.join_votes(grid.region)
         self.match_field(grid.region, grid.targets)
+
+    def _power(self, stage: PassStage) -> float | None:
+        """Return the power of the votes of a pass; None: Euler numbers choose it."""
+        if stage.part.level:
+            return 1.0
+        if self.config.vote_power:
+            return self.config.vote_power
+        return BESIDE if self.request.fixed is not None else None
 
     def correct(self, stage: PassStage, number: int) -> None:
         """Take steps on the two-point function, the last with one on long waves."""

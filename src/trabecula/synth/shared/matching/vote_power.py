@@ -15,10 +15,15 @@ from math import prod
 import numpy as np
 
 from trabecula.engine.memory import Array, Stage
-from trabecula.synth.shared.content.fields import FULL
+from trabecula.synth.shared.content.fields import FULL, UNIT
 from trabecula.synth.shared.matching.grid import Grid
 from trabecula.synth.shared.matching.rounds import cast_votes, match_votes
+from trabecula.synth.shared.slabs import for_plane_groups
 from trabecula.synth.shared.statistics.euler import euler_densities
+
+BESIDE = 0.35
+"""The power beside known voxels, if nothing else is said: where votes disagree little is left of
+them, and the surroundings decide."""
 
 _POWERS = tuple(2 ** (n / 2) for n in range(-3, 4))
 _PLAIN = 3  # the place of the power 1
@@ -32,6 +37,23 @@ def raise_distances(field: np.ndarray, power: float) -> np.ndarray:
     steps = np.arange(-FULL - 1, FULL + 1)
     raised = np.sign(steps) * np.rint(FULL * (np.abs(steps) / FULL).clip(max=1) ** power)
     return np.asarray(raised.astype(np.int8)[field.astype(np.int16) + FULL + 1])
+
+
+def lower_votes(votes: np.ndarray, power: float) -> np.ndarray:
+    """Make votes int16 of raised distances those of distances, in place; return them."""
+    if power == 1:
+        return votes
+    most = FULL * UNIT
+    steps = np.arange(-(1 << 15), 1 << 15)
+    lowered = np.sign(steps) * np.rint(most * (np.abs(steps) / most).clip(max=1) ** (1 / power))
+    table = lowered.astype(np.int16)
+
+    def lower(start: int, stop: int) -> None:
+        part = votes[:, start:stop]
+        part[...] = table[part.astype(np.int32) + (1 << 15)]
+
+    for_plane_groups(lower, votes.shape[1:])
+    return votes
 
 
 def power_for(
