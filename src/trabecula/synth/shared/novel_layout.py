@@ -628,11 +628,10 @@ class NovelRounds(CoarseToFine[Any]):
 
     def _power(self, stage: PassStage) -> float | None:
         """Return the power of the votes of a pass; None: Euler numbers choose it."""
-        if stage.part.level:
+        known = self.request.fixed is not None
+        if stage.part.level and not known:
             return 1.0
-        if self.config.vote_power:
-            return self.config.vote_power
-        return BESIDE if self.request.fixed is not None else None
+        return self.config.vote_power or (BESIDE if known else None)
 
     def correct(self, stage: PassStage, number: int) -> None:
         """Take steps on the two-point function, the last with one on long waves."""

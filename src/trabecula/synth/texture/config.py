@@ -100,9 +100,10 @@ class TextureConfig:
 
     vote_power: float = 0.0
     """With novelty: the power to which the finest level's distances are raised before they are
-    averaged, 0 .. 4. Below 1 thin joins outlive a vote, above 1 they are smoothed away. 0 stands
-    for the power that leaves Euler numbers nearest to the exemplar's, and for .35 beside known
-    voxels, which then meet what is made. Recipes and models that do not name it: 1."""
+    averaged (every level's beside known voxels), 0 .. 4. Below 1 thin joins outlive a vote, above 1
+    they are smoothed away. 0 stands for the power that leaves Euler numbers nearest to the
+    exemplar's, and for .35 beside known voxels, which then meet what is made. Recipes and models
+    that do not name it: 1."""
 
     field: str = "distance"
     """The field of labels: "distance", the clipped signed distance of every phase, or "indicator",
