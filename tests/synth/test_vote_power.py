@@ -76,8 +76,8 @@ def test_slopes_say_what_places_of_other_weights_hold(bone_field):
 @pytest.mark.parametrize("power", [0.35, 1.0, 2.0])
 def test_lowered_votes_are_those_of_distances(power):
     steps = np.arange(-127, 128).astype(np.int8)
-    raised = raise_distances(steps, power).astype(np.int16) * 256
-    lowered = lower_votes(raised.reshape(1, 1, 1, -1).copy(), power).ravel() / 256
+    raised = raise_distances(steps.reshape(1, 1, 1, -1), power).astype(np.int16) * 256
+    lowered = lower_votes(raised, power).ravel() / 256
     far = np.abs(steps) >= 30
     np.testing.assert_allclose(lowered[far], steps[far], atol=3)
     assert (np.diff(lowered) >= 0).all()
@@ -86,7 +86,7 @@ def test_lowered_votes_are_those_of_distances(power):
 @pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
 def test_raised_distances_keep_signs_and_ends(power):
     steps = np.arange(-127, 128).astype(np.int8)
-    raised = raise_distances(steps, power).astype(int)
+    raised = raise_distances(steps.reshape(1, 1, -1), power).ravel().astype(int)
     assert (raised[[0, 127, 254]] == [-127, 0, 127]).all()
     assert (np.diff(raised) >= 0).all()
     assert (raised == -raised[::-1]).all()

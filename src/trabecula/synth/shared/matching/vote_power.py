@@ -18,7 +18,7 @@ from trabecula.engine.memory import Array, Stage
 from trabecula.synth.shared.content.fields import FULL, UNIT
 from trabecula.synth.shared.matching.grid import Grid
 from trabecula.synth.shared.matching.rounds import cast_votes, match_votes
-from trabecula.synth.shared.slabs import for_plane_groups
+from trabecula.synth.shared.slabs import for_plane_groups, make_by_slabs
 from trabecula.synth.shared.statistics.euler import euler_densities
 
 BESIDE = 0.35
@@ -31,12 +31,17 @@ _ENOUGH, _LEAST = 1 << 20, 16  # voxels to try a power on, and planes at least
 
 
 def raise_distances(field: np.ndarray, power: float) -> np.ndarray:
-    """Return distances int8 raised to a power, with their signs and their greatest value."""
+    """Return distances (..., Z, Y, X) int8 raised to a power, with their signs and their greatest
+    value; the field itself where the power is 1.
+    """
     if power == 1:
         return field
     steps = np.arange(-FULL - 1, FULL + 1)
     raised = np.sign(steps) * np.rint(FULL * (np.abs(steps) / FULL).clip(max=1) ** power)
-    return np.asarray(raised.astype(np.int8)[field.astype(np.int16) + FULL + 1])
+    table = raised.astype(np.int8)
+    return make_by_slabs(
+        lambda a, b: table[field[..., a:b, :, :].astype(np.int16) + FULL + 1], field.shape, np.int8
+    )
 
 
 def lower_votes(votes: np.ndarray, power: float) -> np.ndarray:
