@@ -154,7 +154,7 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
     count = shape[0] * shape[1] * shape[2]
     # All that is known beforehand is begun together: the memory then fetches for several at once.
     fixed = 7 + tries
-    cells, begun = np.empty(fixed, np.int64), np.empty(fixed, np.int32)
+    cells, begun = np.empty(fixed, np.int64), np.empty(fixed, np.int64)
     drawn = np.empty((tries, 4), np.uint64)
     for z in range(start, stop):
         for y in range(Y):
