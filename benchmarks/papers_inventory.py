@@ -138,8 +138,8 @@ PAPERS = (
                 "figure 13",
                 "weights of the losses from .01 to 10",
                 NOT_MEASURED,
-                note="ten trainings at full width need a GPU; at width 16, with the weights "
-                "that it chose: [the card](../methods/gan.md)",
+                note="ten trainings at full width need a GPU; at width 8, by 120 and 360 "
+                "iterations: [the card](../methods/gan.md)",
             ),
             Item(
                 "figure 14",

@@ -41,6 +41,7 @@ import image_paper
 import image_speed
 import image_truth
 import intervals
+import joints
 import networks
 import noise
 import novelty_blind
@@ -106,6 +107,7 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_iso_value": texture_figures.texture_iso_value,
     "texture_histogram": texture_figures.texture_histogram,
     "texture_grey": texture_grey.texture_grey,
+    "texture_joints": joints.texture_joints,
     "by_example_2017": by_example.by_example_2017,
     "by_example_2021": by_example.by_example_2021,
     "evenness": evenness.evenness_table,

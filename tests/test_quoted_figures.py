@@ -53,6 +53,6 @@ def test_the_table_of_materials_is_summed_up(quoted):
     assert quoted.sum_materials() == {
         "materials": 14,
         "figures": 3351,
-        "percent": 97.0,
+        "percent": 97.4,
         "whole": 97,
     }

@@ -299,6 +299,16 @@ def _texture_grey_fixed() -> tb.Image:
     return learned.generate(SHAPE, seed=6, **fixed(grey(24)))
 
 
+@case("texture-beside")
+def _texture_beside() -> tb.Image:
+    shape = (48, 32, 33)
+    known = np.zeros(shape, bool)
+    known[:24] = True
+    held = tb.crop(tb.sample("bone"), shape, corner=(0, 0, 0))
+    learned = tb.method("texture", sweeps=1, tries=2).fit(bone(40))
+    return learned.generate(shape, seed=6, fixed=held, known=known)
+
+
 @case("texture-graded")
 def _texture_graded() -> tb.Image:
     return model("texture").generate(SHAPE, seed=6, target={"porosity": ramp(0.7, 0.9)})
@@ -314,6 +324,12 @@ def _texture_graded_shift() -> tb.Image:
 @case("texture-default")
 def _texture_default() -> tb.Image:
     return tb.method("texture").fit(bone(24)).generate(SHAPE, seed=6)
+
+
+@case("texture-plain-votes")
+def _texture_plain_votes() -> tb.Image:
+    """Make what a default of before, whose votes were plain means of distances, made."""
+    return tb.method("texture", vote_power=1.0).fit(bone(24)).generate(SHAPE, seed=6)
 
 
 @case("texture-energy")

@@ -206,6 +206,10 @@ def test_a_target_field_has_a_method_of_its_own():
     random = gaussian_field(0, shape=32)
     assert recommend(random, graded=["porosity"]).method == "texture"
     assert recommend(random, graded=["porosity", "euler"]).method == "quilt"
+    turned = recommend(random, graded=["orientation", "porosity"])
+    assert turned.method == "quilt" and turned.settings == {"weights": {"orientation": 2.0}}
+    assert "beads" in turned.reason
+    assert "scaled" in recommend(random, graded=["size"]).reason
     regular = recommend(lattice(), graded=["volume_fraction"])
     assert regular.method == "quilt" and regular.settings == {"orientations": "all"}
     three = random.values.copy()

@@ -49,7 +49,7 @@ def test_known_voxels_stay_and_what_joins_them_is_not_copied(model, request_, ma
     copied = tb.measure.coherence(exemplar, made[HELD:], k=4, samples=300)[4]
     assert copied < 0.2
     changes = np.mean(made[1:] != made[:-1], axis=(1, 2))
-    assert changes[HELD - 1] < 2 * changes.mean()
+    assert changes[HELD - 1] < 1.5 * changes.mean()  # 1.6 to 2.2 by plain votes
 
 
 @pytest.mark.whole

@@ -96,6 +96,15 @@ def _for_little(image: Image) -> Recommendation:
 def _for_fields(image: Image, names: Collection[str]) -> Recommendation:
     """Choose for a volume of labels and target fields."""
     others = sorted(name for name in names if name not in _DENSITIES)
+    if "orientation" in others:
+        return Recommendation(
+            "quilt",
+            "its turned patches keep plates and rods whole where directions change, and struts of "
+            "texture break up into beads there",
+            settings={"weights": {"orientation": 2.0}},
+        )
+    if "size" in others:
+        return Recommendation("quilt", "its patches come from copies that are scaled to the sizes")
     if others:
         return Recommendation("quilt", f"texture grades by density alone, not by {others[0]}")
     if measure_structure(image).period is not None:

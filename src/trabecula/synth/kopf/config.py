@@ -48,3 +48,6 @@ class RelativeSettings:
 
     robustness: float = 0.8
     """Exponent r of the vote's weights d^(r - 2)."""
+
+    vote_power: float = 1.0
+    """Power to which distances are raised before they are averaged."""

@@ -21,7 +21,7 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
-from trabecula.engine.memory import Stage, Workspace, within
+from trabecula.engine.memory import Array, Stage, Workspace, within
 from trabecula.synth.shared.coarse_to_fine import CoarseToFine, RoundStage
 from trabecula.synth.shared.content.fields import noise, votes_of
 from trabecula.synth.shared.content.histogram import Histogram
@@ -29,9 +29,17 @@ from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_m
 from trabecula.synth.shared.matching.region import Region, has_cube
 from trabecula.synth.shared.matching.rounds import cast_votes, match_votes, refine_field
 from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
+from trabecula.synth.shared.matching.vote_power import (
+    BESIDE,
+    lower_votes,
+    power_for,
+    power_stages,
+    raise_distances,
+)
 from trabecula.synth.shared.slabs import complement, count_true
 from trabecula.synth.shared.stages import LevelMemory, layout_stages, region_arrays
 from trabecula.synth.shared.statistics.density_slopes import DensitySlopes
+from trabecula.synth.shared.statistics.euler import euler_densities
 from trabecula.synth.shared.statistics.interface import interface_share, share_at, shorten_move
 from trabecula.synth.shared.statistics.long_waves import (
     adjust_long_waves,
@@ -99,6 +107,8 @@ class NovelSettings(Protocol):
     def index_penalty(self) -> float: ...
     @property
     def robustness(self) -> float: ...
+    @property
+    def vote_power(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -130,7 +140,7 @@ class Pass:
 @dataclass(frozen=True)
 class Aims:
     """Targets of one level, learnt from the exemplars; with an `interface` (C,), the most that
-    steps may make of it.
+    steps may make of it, and with `euler` (2C,), the Euler densities that votes are to leave.
     """
 
     stack: Stack
@@ -138,6 +148,7 @@ class Aims:
     correlations: Correlations
     candidates: tuple[Candidates, ...]  # one per pass on this level
     interface: np.ndarray | None = None
+    euler: np.ndarray | None = None
 
     def with_targets(self, histograms: tuple[Histogram, ...], correlations: Correlations) -> Aims:
         """Return the targets of material with these histograms and two-point functions."""
@@ -244,7 +255,9 @@ def aims_of(
         if p.level == level
     ]
     share = interface_share(fields) if whole else None
-    return Aims(stack, stack.histograms, correlations, tuple(made), share)
+    choose = whole and level == 0 and not config.vote_power
+    euler = euler_densities(fields) if choose else None
+    return Aims(stack, stack.histograms, correlations, tuple(made), share, euler)
 
 
 def with_histograms(aims: Aims, histograms: tuple[Histogram, ...]) -> Aims:
@@ -261,7 +274,9 @@ def at_density(aims: Aims, slopes: DensitySlopes, t: float) -> Aims:
     histograms = tuple(
         slopes.histogram(own, channel, t) for channel, own in enumerate(aims.histograms)
     )
-    return aims.with_targets(histograms, slopes.correlations(aims.correlations, t))
+    found = aims.with_targets(histograms, slopes.correlations(aims.correlations, t))
+    euler = None if aims.euler is None else aims.euler + t * slopes.euler
+    return replace(found, euler=euler)
 
 
 def slices_for(
@@ -338,6 +353,8 @@ class PassStage(RoundStage):
     target : Correlations
     interface : (C,) float, optional
         The most that steps may leave.
+    euler : (2C,) float, optional
+        What votes are to leave.
     stage : uint64
         Key of its random numbers.
     last : bool
@@ -349,6 +366,7 @@ class PassStage(RoundStage):
     grid: Grid
     target: Correlations
     interface: np.ndarray | None
+    euler: np.ndarray | None
     stage: np.uint64
     last: bool
 
@@ -430,6 +448,7 @@ class NovelRounds(CoarseToFine[Any]):
             grid,
             aims.correlations,
             None if aims.interface is None else part.roughest * aims.interface,
+            aims.euler,
             key(self.request.seed, f"novel/pass {number}"),
             number == len(self.schedule) - 1,
         )
@@ -477,7 +496,11 @@ class NovelRounds(CoarseToFine[Any]):
         target, periodic = self.aims[part.level].correlations, self.request.periodic
         step = self._step_stages(level.covered.shape, target, periodic)
         waves = within({**level.base, **level.votes}, wave_stages(level.volume))
-        return (*replace(level, correction=step).stages(), *waves)
+        stages = (*replace(level, correction=step).stages(), *waves)
+        if self.aims[part.level].euler is None:
+            return stages
+        weight = {"weight0": Array(level.grids[0], np.int32)}
+        return (*stages, *within({**level.base, **weight}, power_stages(level.volume)))
 
     def _step_stages(
         self, shape: Sequence[int], target: Correlations, periodic: Sequence[bool]
@@ -589,10 +612,26 @@ class NovelRounds(CoarseToFine[Any]):
     def vote(self, stage: PassStage, number: int) -> None:
         """Make the field that the matches vote for."""
         work, grid, trim = self.work, stage.grid, 1 if stage.part.level == 0 else 0
+        matched = grid, work["match0"], work["weight0"]
+        power = self._power(stage)
+        if power is None and stage.euler is not None:
+            work.enter("try powers")
+            power = power_for(*matched, stage.euler, trim=trim)
         work.enter("vote")
-        work.adopt("votes", cast_votes(grid, work["match0"], work["weight0"], trim=trim))
+        voting = raise_distances(grid.candidates.stack.field, power or 1.0)
+        votes = cast_votes(*matched, trim=trim, field=voting)
+        if grid.region.low is not None:
+            lower_votes(votes, power or 1.0)  # the joint goes by distances
+        work.adopt("votes", votes)
         self.join_votes(grid.region)
         self.match_field(grid.region, grid.targets)
+
+    def _power(self, stage: PassStage) -> float | None:
+        """Return the power of the votes of a pass; None: Euler numbers choose it."""
+        known = self.request.fixed is not None
+        if stage.part.level and not known:
+            return 1.0
+        return self.config.vote_power or (BESIDE if known else None)
 
     def correct(self, stage: PassStage, number: int) -> None:
         """Take steps on the two-point function, the last with one on long waves."""

@@ -683,7 +683,9 @@ class TextureModel(Model):
         fields = sum(stack.field.nbytes for stack in self.stacks)
         held = sum(searched * c.features.nbytes + 9 * c.allowed.nbytes for c in kept)
         usage = usage_bytes(kept, exact=exact)
-        return {"interpreter and kernels": _PROCESS, "exemplar": fields + held} | usage
+        raised = self.stacks[0].field.nbytes if self.top and self.config.vote_power != 1 else 0
+        exemplar = fields + held + raised
+        return {"interpreter and kernels": _PROCESS, "exemplar": exemplar} | usage
 
 
 @dataclass(frozen=True)

@@ -69,24 +69,32 @@ def count_matches(match, active, counts, start, stop):
 
 
 @inline
-def _distance(features, place, exemplar, candidate, most):
-    """Return the squared distance of the site at (z, y, x) of the features, or something above
-    `most` as soon as that is sure: most candidates fail in the first eight components.
+def _begin(features, place, exemplar, candidate):
+    """Return the squared distance of the site at (z, y, x) of the features in the first eight
+    components: most candidates fail there.
     """
     z, y, x = place
-    depth = exemplar.shape[1]
     total = np.int32(0)
-    if depth < 8:
-        for i in range(depth):
+    if exemplar.shape[1] < 8:
+        for i in range(exemplar.shape[1]):
             difference = np.int32(features[z, y, x, i]) - np.int32(exemplar[candidate, i])
             total += difference * difference
         return total
     for i in range(8):  # as many as the compiler takes at once, since it knows how many
         difference = np.int32(features[z, y, x, i]) - np.int32(exemplar[candidate, i])
         total += difference * difference
+    return total
+
+
+@inline
+def _distance(features, place, exemplar, candidate, total, most):
+    """Return the squared distance of the site at (z, y, x) of the features, of which `total` is the
+    beginning, or something above `most` as soon as that is sure.
+    """
+    z, y, x = place
     if total > most:
         return total
-    for i in range(8, depth):
+    for i in range(8, exemplar.shape[1]):
         difference = np.int32(features[z, y, x, i]) - np.int32(exemplar[candidate, i])
         total += difference * difference
     return total
@@ -118,10 +126,12 @@ def _around(words, match, shape, radius):
 
 
 @inline
-def _better(features, place, exemplar, penalty, candidate, best, least):
-    """Return the better of `candidate` and `best`, and its penalised distance."""
+def _better(features, place, exemplar, penalty, candidate, total, best, least):
+    """Return the better of `candidate`, whose distance begins with `total`, and `best`, and its
+    penalised distance.
+    """
     factor = penalty[candidate]
-    d = _distance(features, place, exemplar, candidate, least / factor)
+    d = _distance(features, place, exemplar, candidate, total, least / factor)
     value = np.float32(d) * factor
     if value < least:
         return candidate, value
@@ -142,6 +152,10 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
     Z, Y, X = old.shape
     longest = max(shape[0], max(shape[1], shape[2]))
     count = shape[0] * shape[1] * shape[2]
+    # All that is known beforehand is begun together: the memory then fetches for several at once.
+    fixed = 7 + tries
+    cells, begun = np.empty(fixed, np.int64), np.empty(fixed, np.int64)
+    drawn = np.empty((tries, 4), np.uint64)
     for z in range(start, stop):
         for y in range(Y):
             for x in range(X):
@@ -151,8 +165,7 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
                     continue
                 site = (z - first, y, x)
                 best = np.int64(old[z, y, x])
-                own, kept = best, _distance(features, site, exemplar, best, np.inf)
-                least = np.float32(kept) * penalty[best]
+                cells[0], known = best, 1
                 for axis in range(3):
                     for side in range(-1, 2, 2):
                         dz, dy, dx = (
@@ -167,19 +180,38 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
                             nz, ny, nx = nz % Z, ny % Y, nx % X
                         there = np.int64(old[nz, ny, nx])
                         candidate = _neighbour_cell(there, shape, axis, -side * ratios[axis])
-                        if candidate >= 0 and candidate != best:
-                            best, least = _better(
-                                features, site, exemplar, penalty, candidate, best, least
-                            )
+                        if candidate >= 0:
+                            cells[known] = candidate
+                            known += 1
+                moved = known
                 for k in range(tries):
-                    words = philox(key, z, y, x, (number << 8) + k)
-                    anywhere = below(words[0], count)
-                    best, least = _better(features, site, exemplar, penalty, anywhere, best, least)
-                    near = _around(words, best, shape, max(1, longest >> (k + 2)))
-                    best, least = _better(features, site, exemplar, penalty, near, best, least)
+                    drawn[k] = philox(key, z, y, x, (number << 8) + k)
+                    cells[known] = below(drawn[k, 0], count)
+                    known += 1
+                for n in range(known):
+                    begun[n] = _begin(features, site, exemplar, cells[n])
+                own = best
+                kept = _distance(features, site, exemplar, best, begun[0], np.inf)
+                least = np.float32(kept) * penalty[best]
+                for n in range(1, moved):
+                    if cells[n] != best:
+                        best, least = _better(
+                            features, site, exemplar, penalty, cells[n], begun[n], best, least
+                        )
+                for k in range(tries):
+                    n = moved + k
+                    best, least = _better(
+                        features, site, exemplar, penalty, cells[n], begun[n], best, least
+                    )
+                    near = _around(drawn[k], best, shape, max(1, longest >> (k + 2)))
+                    total = _begin(features, site, exemplar, near)
+                    best, least = _better(
+                        features, site, exemplar, penalty, near, total, best, least
+                    )
                 match[z, y, x] = best
                 if best != own:
-                    kept = _distance(features, site, exemplar, best, np.inf)
+                    total = _begin(features, site, exemplar, best)
+                    kept = _distance(features, site, exemplar, best, total, np.inf)
                 distance[z, y, x] = kept
 
 

@@ -91,13 +91,34 @@ def round_votes(votes: np.ndarray) -> np.ndarray:
     return np.clip((votes.astype(np.int32) + 128) >> 8, -FULL, FULL).astype(np.int8)
 
 
-def cast_votes(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int = 0) -> np.ndarray:
+def cast_votes(
+    grid: Grid,
+    match: np.ndarray,
+    weights: np.ndarray,
+    *,
+    trim: int = 0,
+    field: np.ndarray | None = None,
+    planes: int | None = None,
+) -> np.ndarray:
     """Return the weighted mean of the matched neighbourhoods, times 256; 0 where no active one
     reaches.
+
+    Parameters
+    ----------
+    grid : Grid
+    match, weights : (sz, sy, sx) int32
+    trim : int
+        Voxels at the rim of a neighbourhood that do not vote.
+    field : (C, z, y, x) int8, optional
+        What neighbourhoods vote with. Default: the exemplars'.
+    planes : int, optional
+        So many of the first planes, without what reaches around into them. Default: all.
     """
     candidates, region = grid.candidates, grid.region
-    stack = candidates.stack
-    votes = memmap.empty((len(stack.field), *region.shape), np.int16)
+    voting = candidates.stack.field if field is None else field
+    depth = region.shape[0] if planes is None else planes
+    around = region.wraps[0] and depth == region.shape[0]
+    votes = memmap.empty((len(voting), depth, *region.shape[1:]), np.int16)
 
     layout = CubeLayout(
         candidates.shape,
@@ -105,14 +126,14 @@ def cast_votes(grid: Grid, match: np.ndarray, weights: np.ndarray, *, trim: int 
         candidates.steps,
         candidates.basis.box,
         trims_of(grid, trim),
-        region.wraps,
+        (around, *region.wraps[1:]),
     )
 
     def work(start: int, stop: int) -> None:
         plane = np.empty((len(votes) + 1, *grid.reach[1:]), np.int32)
-        vote(stack.field, match, weights, layout, plane, votes, start, stop)
+        vote(voting, match, weights, layout, plane, votes, start, stop)
 
-    for_slabs(work, region.shape[0], anywhere=True)
+    for_slabs(work, depth, anywhere=True)
     return votes
 
 

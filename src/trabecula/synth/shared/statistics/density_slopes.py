@@ -19,6 +19,7 @@ import numpy as np
 
 from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.statistics.euler import euler_slopes
 from trabecula.synth.shared.statistics.pairs import Pairs
 from trabecula.synth.shared.statistics.two_point import (
     Correlations,
@@ -44,6 +45,8 @@ class DensitySlopes:
         Of the share of voxels that have a value.
     curves, squares : (C, bins) float64
         Of the two-point functions, with t and with its square.
+    euler : (2C,) float64
+        Of the Euler densities.
     """
 
     fraction: float
@@ -53,6 +56,7 @@ class DensitySlopes:
     shares: np.ndarray
     curves: np.ndarray
     squares: np.ndarray
+    euler: np.ndarray
 
     def histogram(self, own: Histogram, channel: int, t: float) -> Histogram:
         """Return the histogram of a channel at t."""
@@ -121,6 +125,7 @@ def density_slopes(
         shares,
         curves,
         np.square(means)[:, None] * apart,
+        euler_slopes(fields, weights),
     )
 
 
