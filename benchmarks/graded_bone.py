@@ -1,5 +1,5 @@
 """Bone graded by four kinds of field: fractions, connectivity, and whether windows look as the
-scan's windows of equal fraction do.
+scan's windows of equal fraction do; and whether graded material is new.
 """
 
 from __future__ import annotations
@@ -12,12 +12,15 @@ import trabecula as tb
 from common import asked, busy, pictures, table
 from descriptors import scans
 from trabecula import fields
+from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.texture.final_shape import settle_shape
 from trabecula.view.slices import montage
 
 SHAPE = (96, 96, 128)
 BONES = ("bone a", "bone b", "bone with cortex")
 KINDS = ("ramp", "radial", "simp", "drawn")
 FIGURES = ("thickness", "chord_length", "specific_surface", "anisotropy")
+PART = (52, 96, 96)
 SIZE, STEP = 20, 6
 """Windows of the fraction."""
 WIDE, NEAR, ALIKE, LEAST = 40, 25, 0.04, 12
@@ -65,6 +68,50 @@ def graded_bone_fields() -> None:
                 sections = [tb.Image(values, "labels") for values in shown]
                 label = f"graded-{name}-{method}".replace(" ", "-")
                 tb.write(montage(sections, list(KINDS)), folder / f"{label}.png")
+
+
+def graded_bone_copies() -> None:
+    """Graded bone and Berea beside what is new and what is copied: coherence with the exemplar,
+    96^3, over 4 voxels, the same at half resolution, and the patches of 52 x 96 x 96 voxels.
+
+    New is another part of the scan. Copied are the exemplar itself, its interfaces moved as those
+    of a graded result are, and `novelty=0` without a target.
+    """
+    row = table("case", "over 4", "half", "patch, mean", "largest", wide=44)
+    every = scans()
+    for name in (scan for scan in (*BONES, "Berea") if scan in every):
+        scan, exemplar = every[name], tb.crop(every[name], 96)
+        beside_it = (scan.shape[0] - 96) // 2
+        if beside_it >= PART[0]:
+            other = tb.crop(scan, (PART[0], 96, 96), corner=(0, 0, 0))
+            row(f"{name}, another part of the scan", *copying(exemplar, other))
+        held = fields.windowed(exemplar, size=SIZE, names=["volume_fraction"])["volume_fraction"]
+        low, high = (float(value) for value in np.quantile(held, [0.05, 0.95]))
+        row(f"{name}, itself, interfaces moved", *copying(exemplar, moved(exemplar, low, high)))
+        plain = tb.method("texture", novelty=0.0).fit(exemplar)
+        row(f"{name}, novelty 0, no target", *copying(exemplar, plain.generate(96, seed=1)))
+        model = tb.method("texture").fit(exemplar)
+        for kind in ("ramp", "radial"):
+            target = {"volume_fraction": field_of(kind, low, high)}
+            made = model.generate(SHAPE, seed=1, target=target)
+            row(f"{name}, graded, {kind}", *copying(exemplar, made))
+
+
+def moved(image: tb.Image, low: float, high: float) -> tb.Image:
+    """Return labels whose interfaces are moved as those of a graded result are, to a ramp."""
+    inside = np.asarray(image.values) > 0
+    votes = np.where(inside, 120, -120).astype(np.int16)[None] * np.int16(256)
+    ramp = np.asarray(fields.ramp(image.shape, axis="x", start=low, end=high)).astype(np.float32)
+    upper, _ = settle_shape(votes, Region(image.shape), ramp, None, unit=30.0)
+    return tb.Image(upper.astype(np.uint8), "labels", phases=image.phases)
+
+
+def copying(exemplar: tb.Image, image: tb.Image) -> list[str]:
+    """Return coherence over 4 voxels, at full and at half resolution, and the voxels of patches."""
+    whole = tb.measure.coherence(exemplar, image, k=(4,))[4]
+    half = tb.measure.coherence(exemplar, image, k=(2,), half=True)[2]
+    patches = tb.measure.coherent_patches(tb.measure.sources(exemplar, tb.crop(image, PART)))
+    return [f"{whole:.3f}", f"{half:.2f}", f"{patches.mean:.0f}", str(patches.largest)]
 
 
 def field_of(kind: str, low: float, high: float) -> np.ndarray:

@@ -137,6 +137,7 @@ CASES: dict[str, Callable[[], None]] = {
     "graded_section": graded.graded_section,
     "graded_bone": graded.graded_bone,
     "graded_bone_fields": graded_bone.graded_bone_fields,
+    "graded_bone_copies": graded_bone.graded_bone_copies,
     "graded_seams": graded.graded_seams,
     "graded_speed": graded.graded_speed,
     "oriented": oriented.oriented,

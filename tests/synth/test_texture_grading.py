@@ -10,6 +10,7 @@ from trabecula.engine import parallel
 from trabecula.errors import RequestError
 from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.content.phase_fractions import brightest_voxels
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.novel_layout import with_histograms
 from trabecula.synth.shared.statistics.two_point import soft_indicator
@@ -220,6 +221,28 @@ def test_one_number_is_met_by_new_material(bone):
     assert tb.measure.coherence(piece, made, k=(4,), samples=200)[4] < 0.2
     thickness = tb.measure.thickness(made) / tb.measure.thickness(piece)
     assert thickness == pytest.approx(1, abs=0.15)  # more struts rather than thicker ones
+
+
+@pytest.mark.whole
+def test_a_graded_result_is_not_made_of_moved_patches(bone, monkeypatch):
+    """Interfaces that are moved in the end would hide copies: the votes before that are new."""
+    piece = tb.crop(bone, 48)
+    shape, target = (
+        (72, 40, 40),
+        {"volume_fraction": fields.ramp((72, 40, 40), start=0.12, end=0.3)},
+    )
+
+    def split(votes, region, fractions, struts, *, unit):
+        return brightest_voxels(votes[0], round(float(fractions.sum())), None), {"joins": 0}
+
+    def shares(method, target):
+        made = method.fit(piece).generate(shape, seed=1, target=target)
+        return tb.measure.coherence(piece, made, k=(4,), samples=500)[4]
+
+    assert shares(tb.method("texture"), target) < 0.16
+    monkeypatch.setattr("trabecula.synth.texture.method.settle_shape", split)
+    assert shares(tb.method("texture"), target) < 0.25
+    assert shares(tb.method("texture", novelty=0.0), {}) > 0.35
 
 
 def test_other_fractions_leave_the_autocorrelation_as_it_is(bone):
