@@ -1,5 +1,5 @@
 """Bone graded by four kinds of field: fractions, connectivity, and whether windows look as the
-scan's windows of equal fraction do; and whether graded material is new.
+scan's windows of equal fraction do; how stiff it is, and whether it is new.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ BONES = ("bone a", "bone b", "bone with cortex")
 KINDS = ("ramp", "radial", "simp", "drawn")
 FIGURES = ("thickness", "chord_length", "specific_surface", "anisotropy")
 PART = (52, 96, 96)
+ASKED = 0.165
+"""Solid fraction of the windows whose stiffness is solved."""
 SIZE, STEP = 20, 6
 """Windows of the fraction."""
 WIDE, NEAR, ALIKE, LEAST = 40, 25, 0.04, 12
@@ -68,6 +70,47 @@ def graded_bone_fields() -> None:
                 sections = [tb.Image(values, "labels") for values in shown]
                 label = f"graded-{name}-{method}".replace(" ", "-")
                 tb.write(montage(sections, list(KINDS)), folder / f"{label}.png")
+
+
+def graded_bone_stiffness() -> None:
+    """Stiffness along x over the solid's, of windows of 64^3 with a solid fraction of .165: of two
+    scans, and of what is graded from 96^3 by a ramp and by an even field, two seeds.
+    """
+    row = table("case", "windows", "mean", "least", "most", wide=34)
+    every = scans()
+    for name in (bone for bone in BONES[:2] if bone in every):
+        exemplar = tb.crop(every[name], 96)
+        row(f"{name}, the scan", *stiffness_of(windows_at(every[name], 32)[:12]))
+        held = fields.windowed(exemplar, size=SIZE, names=["volume_fraction"])["volume_fraction"]
+        low, high = (float(value) for value in np.quantile(held, [0.05, 0.95]))
+        even = np.linspace(ASKED, ASKED + 1e-4, SHAPE[2]) + np.zeros(SHAPE)
+        model = tb.method("texture").fit(exemplar)
+        for kind, field in (("ramp", field_of("ramp", low, high)), ("even", even)):
+            target = {"volume_fraction": field.astype(np.float32)}
+            made = [model.generate(SHAPE, seed=seed, target=target) for seed in (1, 2)]
+            chosen = [window for one in made for window in windows_at(one, 16)[:4]]
+            row(f"{name}, {kind}", *stiffness_of(chosen))
+
+
+def windows_at(image: tb.Image, step: int) -> list[tb.Image]:
+    """Return windows of 64^3 whose solid fraction is within .012 of ASKED, the nearest along x at
+    every place across it, in a random order.
+    """
+    solid, found = np.asarray(image.values) > 0, []
+    for z, y in np.ndindex(*((side - 64) // step + 1 for side in solid.shape[:2])):
+        column = solid[z * step : z * step + 64, y * step : y * step + 64]
+        along = [column[..., x : x + 64] for x in range(0, solid.shape[2] - 63, 8)]
+        nearest = min(along, key=lambda window: abs(window.mean() - ASKED))
+        if abs(nearest.mean() - ASKED) < 0.012:
+            found.append(tb.Image(np.ascontiguousarray(nearest, np.uint8), "labels"))
+    np.random.default_rng(0).shuffle(found)
+    return found
+
+
+def stiffness_of(windows: list[tb.Image]) -> list[str]:
+    """Return how many windows there are, and the mean, least and greatest stiffness along x."""
+    each = [float(np.asarray(tb.measure.stiffness(one).matrix)[0, 0]) for one in windows]
+    return [str(len(each)), *(f"{value:.4f}" for value in (np.mean(each), min(each), max(each)))]
 
 
 def graded_bone_copies() -> None:
