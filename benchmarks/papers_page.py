@@ -83,7 +83,10 @@ def _runs() -> str:
     names = dict.fromkeys(run for paper in PAPERS for item in paper.items for run in item.runs)
     rows = []
     for one in map(load, names):
-        seconds = (f"{one.seconds[clock]:.0f}" for clock in ("processor", "wall"))
+        seconds = (
+            f"{one.seconds[clock]:.0f}" if clock in one.seconds else "not noted"
+            for clock in ("processor", "wall")
+        )
         rows.append([f"`{one.name}`", one.date, f"`{one.commit}`", *seconds, _machine(one)])
     found = words("runs")
     heads = ("run", "date", "commit", "s, processor", "s, wall", "machine")

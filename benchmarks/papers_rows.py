@@ -118,7 +118,8 @@ def words(key: str) -> dict[str, Any]:
 
 
 def _again(saved: Saved) -> str:
-    return f"`{saved.command}` ({saved.seconds['processor']:.0f} s)"
+    clock = "processor" if "processor" in saved.seconds else "wall"
+    return f"`{saved.command}` ({saved.seconds[clock]:.0f} s)"
 
 
 def _without_empty(

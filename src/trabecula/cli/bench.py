@@ -21,6 +21,7 @@ _PARTS = {
     "that are saved)",
     "device": "of the case gan_paper: cuda or cpu (default: cuda)",
     "minutes": "of the case gan_paper: minutes of this command (default: 24)",
+    "batch": "of the case gan_paper: crops an iteration (default: the paper's 100)",
     "state": "of the case gan_paper: folder of the checkpoint that the next command resumes from "
     "(default: state in the folder --out)",
     "side": "of the cases named image, fusion and big: voxels a side of what is made",

@@ -8,11 +8,10 @@ from trabecula.errors import InputError  # noqa: E402
 from trabecula.synth.gan.config import PRESETS, GanConfig  # noqa: E402
 from trabecula.synth.gan.networks import (  # noqa: E402
     blur,
-    depth_to_space,
     new_discriminator,
     new_generator,
-    space_to_depth,
 )
+from trabecula.synth.gan.rearranged import depth_to_space, space_to_depth  # noqa: E402
 
 GENERATORS = {
     "subpixel": GanConfig(width=4, latent=3),

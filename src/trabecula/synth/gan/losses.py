@@ -195,11 +195,14 @@ class CandidateTable:
         """Find the candidate nearest to each query (Q, D), layer by layer."""
         best = [torch.full((len(cubes),), torch.inf, device=cubes.device) for cubes in queries]
         found = [torch.empty_like(cubes) for cubes in queries]
+        lengths = [squares_of(cubes) for cubes in queries]
         with torch.no_grad():
             for chunk in self.crops.split(self.chunk):
                 for layer, features in enumerate(discriminator.features(chunk)):
                     candidates = cubes_of(features, EDGES[layer]).to(queries[layer].dtype)
-                    distance, index = squared_distances(queries[layer], candidates).min(1)
+                    distance, index = squared_distances(
+                        queries[layer], candidates, lengths[layer]
+                    ).min(1)
                     nearer = distance < best[layer]
                     best[layer][nearer] = distance[nearer]
                     found[layer][nearer] = candidates[index[nearer]]
@@ -218,7 +221,19 @@ def cubes_of(features: Tensor, edge: int) -> Tensor:
     )
 
 
-def squared_distances(a: Tensor, b: Tensor) -> Tensor:
-    """Return (N, M) float32, the squared distances of rows (equation 3 of the paper)."""
-    squares = [part.float().square().sum(1) for part in (a, b)]
-    return squares[0][:, None] + squares[1] - 2 * (a @ b.T).float()
+def squared_distances(a: Tensor, b: Tensor, squares: Tensor | None = None) -> Tensor:
+    """Return (N, M) float32, the squared distances of rows (equation 3 of the paper).
+
+    Parameters
+    ----------
+    a, b : (N, D) and (M, D) tensor
+    squares : (N,) float32 tensor, optional
+        `squares_of(a)`, where it is known.
+    """
+    first = squares_of(a) if squares is None else squares
+    return first[:, None] + squares_of(b) - 2 * (a @ b.T).float()
+
+
+def squares_of(rows: Tensor) -> Tensor:
+    """Return (N,) float32, the sum of the squares of each row."""
+    return rows.float().square().sum(1)

@@ -18,6 +18,8 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, avg_pool3d, leaky_relu
 
 from trabecula.synth.gan.config import GanConfig
+from trabecula.synth.gan.folded import Doubling, Halving
+from trabecula.synth.gan.rearranged import depth_to_space, space_to_depth
 
 _SLOPE = 0.2
 _MIDDLE = 40  # voxels
@@ -103,24 +105,6 @@ class Subpixel(nn.Module):
         return torch.tanh(crop_centre(x, *(8 * (side - 6) for side in z.shape[2:])))
 
 
-def depth_to_space(x: Tensor) -> Tensor:
-    """Rearrange (B, 8 K, Z, Y, X) as (B, K, 2 Z, 2 Y, 2 X): eight channels become a 2^3 cell."""
-    b, k, z, y, w = x.shape
-    x = x.permute(0, 2, 3, 4, 1).reshape(b, z, y, w, 2, 2, 2, k // 8)
-    x = x.permute(0, 1, 4, 2, 5, 3, 6, 7).reshape(b, 2 * z, 2 * y, 2 * w, k // 8)
-    return x.permute(0, 4, 1, 2, 3)  # channels last in memory, as the convolutions like it
-
-
-def space_to_depth(x: Tensor) -> Tensor:
-    """Invert `depth_to_space`; of slices (B, K, Y, X) four pixels become channels."""
-    b, k, *sides = x.shape
-    axes = len(sides)
-    x = x.movedim(1, -1).reshape(b, *(n for side in sides for n in (side // 2, 2)), k)
-    places, inner = range(1, 2 * axes, 2), range(2, 2 * axes + 1, 2)
-    x = x.permute(0, *places, *inner, 2 * axes + 1)
-    return x.reshape(b, *(side // 2 for side in sides), 2**axes * k).movedim(-1, 1)
-
-
 def blur(x: Tensor) -> Tensor:
     """Average with weights 1 2 1 along every axis; each side loses a voxel.
 
@@ -162,8 +146,8 @@ class Deconvolution(nn.Module):
         maps = [latent, 8 * width, 8 * width, 4 * width, 2 * width, width if last else channels]
         layers: list[nn.Module] = []
         for place, (before, after) in enumerate(pairwise(maps)):
-            step, padding = (1, 0) if place == 0 else (2, 1)
-            layers.append(nn.ConvTranspose3d(before, after, 4, step, padding))
+            first = nn.ConvTranspose3d(before, after, 4) if place == 0 else None
+            layers.append(first or Doubling(before, after))
             if place < 4 or last:
                 layers += [nn.BatchNorm3d(after), nn.ReLU()]
         if last:
@@ -282,12 +266,10 @@ class Score(nn.Module):
         super().__init__()
         maps = [channels, width, 2 * width, 4 * width, 8 * width]
         self.blocks = nn.ModuleList(
-            nn.Sequential(
-                nn.Conv3d(before, after, 4, 2, 1), nn.BatchNorm3d(after), nn.LeakyReLU(_SLOPE)
-            )
+            nn.Sequential(Halving(before, after), nn.BatchNorm3d(after), nn.LeakyReLU(_SLOPE))
             for before, after in pairwise(maps)
         )
-        self.fifth = nn.Conv3d(8 * width, 8 * width, 4, 2, 1)
+        self.fifth = Halving(8 * width, 8 * width)
         self.head = nn.Conv3d(8 * width, 1, crop // 32 if whole else 1)
         self.apply(_init_dcgan)
 
