@@ -20,7 +20,13 @@ SIDE = 120
 BOX = 64
 """Permeability is solved in a centre box of so many voxels a side, of a few samples."""
 
-LEARNT_FROM = {"bone": "bone a", "berea": "Berea", "nmc": "NMC", "cement": "cement"}
+LEARNT_FROM = {
+    "bone": "bone a",
+    "bone_wide": "bone a",
+    "berea": "Berea",
+    "nmc": "NMC",
+    "cement": "cement",
+}
 NARROW = {"width": 4, "batch": 4, "latent": 16}
 """Of the paper's networks, for a processor; the paper's: 64, 100, 100."""
 

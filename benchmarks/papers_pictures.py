@@ -50,7 +50,7 @@ KEPT: dict[str, dict[str, Sheet]] = {
     },
     "weights": {"2017-weights": Sheet(("texture-weights.png",), **FIRST)},
     "stills": {"2017-stills": Sheet(("2017-stills.png",))},
-    "gan_paper": {"2021-full-width": Sheet(("training.png",))},
+    "gan_paper": {"2021-full-width": Sheet(("training.png",), colours=64)},
     "by_example_2021": {"2021-curves": Sheet(("curves-bone-a.png",))},
     "gan_shipped": {
         "2021-bone": Sheet(("gan-bone.png",), **EQUAL),
