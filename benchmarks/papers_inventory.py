@@ -139,8 +139,8 @@ PAPERS = (
                 "figure 13",
                 "weights of the losses from .01 to 10",
                 NOT_MEASURED,
-                note="eight trainings at full width are half a day of a GPU; at width 8, by 120 and "
-                "360 iterations: [the card](../methods/gan.md)",
+                note="eight trainings at full width are half a day of a GPU; at width 8, by 120 "
+                "and 360 iterations: [the card](../methods/gan.md)",
             ),
             Item(
                 "figure 14",
