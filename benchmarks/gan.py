@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+import ensembles
 import trabecula as tb
 from common import SCANS, busy, pictures, table, tell
 from descriptors import GREY, LABELS
@@ -92,6 +93,19 @@ def _diverse(name: str, samples: Sequence[tb.Image]) -> None:
         f"{found.distance[apart].min():.3f}",
         f"{found.coherence[apart].max():.3f}",
     )
+
+
+def populations() -> None:
+    """Shipped models of labels as ensembles: 24 samples of 64^3 against the parts of their scans:
+    ratio of standard deviations, shift of the mean in real standard deviations, and the verdict.
+    """
+    for name in os.environ.get("TRABECULA_BENCH_MODELS", "").split() or shipped_models():
+        scan = exemplar(name)
+        if scan is None or scan.kind != "labels":
+            continue
+        model = tb.load_model(name)
+        members = [model.generate(ensembles.SIDE, seed=seed) for seed in range(ensembles.COUNT)]
+        ensembles.show(name, tb.verify_ensemble(scan, members))
 
 
 def speed() -> None:

@@ -114,6 +114,7 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_speed": texture_speed.speed,
     "texture_sizes": texture_speed.sizes,
     "gan_models": gan.models,
+    "gan_populations": gan.populations,
     "gan_shipped": gan.shipped,
     "gan_speed": gan.speed,
     "gan_ablation": gan_ablation.ablation,
