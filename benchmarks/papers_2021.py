@@ -92,7 +92,7 @@ def _like_for_like() -> Section:
         ]
     networks, wide = load("gan_shipped"), load("gan_paper")
     done = wide.tables[1].rows[0][0]
-    short = f"in {done} iterations of 16 crops"
+    short = f"in {done} iterations of {wide.tables[0].rows[-1][0]} crops"
     error, distance, _, _, seconds = _shipped(networks, "bone")
     paper = BONE["all (ScaffoldGAN)"]
     rows += [
