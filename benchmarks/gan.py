@@ -5,12 +5,15 @@ processor gets.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import product
+from typing import Any
 
 import numpy as np
 
 import ensembles
 import trabecula as tb
+from by_example import figures
 from common import SCANS, busy, pictures, table, tell
 from descriptors import GREY, LABELS
 from trabecula.models import shipped_models
@@ -43,15 +46,20 @@ def exemplar(name: str) -> tb.Image | None:
     )
 
 
+def _chosen() -> Iterator[tuple[str, tb.Image, Any]]:
+    """Yield name, scan and model of the shipped models, or of TRABECULA_BENCH_MODELS, whose scans
+    are here.
+    """
+    for name in os.environ.get("TRABECULA_BENCH_MODELS", "").split() or shipped_models():
+        if (scan := exemplar(name)) is not None:
+            yield name, scan, tb.load_model(name)
+
+
 def models() -> None:
     """Shipped models (or TRABECULA_BENCH_MODELS), 10 samples of 120^3 each: figures and band,
     diversity, permeability.
     """
-    for name in os.environ.get("TRABECULA_BENCH_MODELS", "").split() or shipped_models():
-        scan = exemplar(name)
-        if scan is None:
-            continue
-        model = tb.load_model(name)
+    for name, scan, model in _chosen():
         model.generate(SIDE, seed=0)
         seconds, samples = busy(
             lambda m=model: [m.generate(SIDE, seed=seed) for seed in range(SAMPLES)]
@@ -60,6 +68,9 @@ def models() -> None:
         _certified(name, scan, samples)
         if scan.kind == "labels":
             _diverse(name, samples)
+            corners = product(*((0, side - SIDE) for side in scan.shape))
+            apart = [figures(scan, tb.crop(scan, SIDE, corner=c)).distance for c in corners]
+            tell("D2 of the scan's corners", *(f"{f(apart):.1f}" for f in (np.mean, min, max)))
             row = table(f"permeability of {name}", *"zyx")
             for what, image in (
                 ("exemplar", scan),
@@ -99,11 +110,9 @@ def populations() -> None:
     """Shipped models of labels as ensembles: 24 samples of 64^3 against the parts of their scans:
     ratio of standard deviations, shift of the mean in real standard deviations, and the verdict.
     """
-    for name in os.environ.get("TRABECULA_BENCH_MODELS", "").split() or shipped_models():
-        scan = exemplar(name)
-        if scan is None or scan.kind != "labels":
+    for name, scan, model in _chosen():
+        if scan.kind != "labels":
             continue
-        model = tb.load_model(name)
         members = [model.generate(ensembles.SIDE, seed=seed) for seed in range(ensembles.COUNT)]
         ensembles.show(name, tb.verify_ensemble(scan, members))
 

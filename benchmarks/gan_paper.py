@@ -103,8 +103,8 @@ def gan_paper() -> None:
     spent = _seconds_in(state)
     if not spent:
         if asked("BATCH"):
-            paper = {name: value for name, value in settings.items() if name != "batch"}
-            found["profile of the paper's batch"], _ = _profile(image, paper, minutes)
+            found["profile of the paper's batch"], _ = _profile(image, settings, minutes)
+            settings = {**settings, "batch": int(asked("BATCH")[0])}
         found["profile"], settings = _profile(image, settings, minutes)
         (state / "settings.json").write_text(json.dumps(settings))
         (state / "profile.json").write_text(json.dumps(found["profile"]))
@@ -151,8 +151,7 @@ def _exemplar() -> tb.Image:
 def _settings(device: str) -> dict[str, Any]:
     small = REHEARSAL if device == "cpu" else {}
     storage = {"device": device, "storage": "float16", "iterations": ITERATIONS}
-    batch = {"batch": int(asked("BATCH")[0])} if asked("BATCH") else {}
-    return {"preset": "paper", **small, **storage, **batch}
+    return {"preset": "paper", **small, **storage}
 
 
 def _stored(path: Path) -> dict[str, Any]:

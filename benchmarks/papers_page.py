@@ -96,7 +96,8 @@ def _runs() -> str:
 def _machine(saved: Saved) -> str:
     one = saved.machine
     libraries = (f"{name} {one[name]}" for name in ("numpy", "numba", "torch") if name in one)
+    beside = f"{one['gpu']} beside " if "gpu" in one else ""
     return (
-        f"{one['processor']}, {one['cores']} cores, {one['memory_gib']} GiB, load {one['load']}; "
-        f"Python {one['python']}, {', '.join(libraries)}"
+        f"{beside}{one['processor']}, {one['cores']} cores, {one['memory_gib']} GiB, "
+        f"load {one['load']}; Python {one['python']}, {', '.join(libraries)}"
     )

@@ -12,6 +12,7 @@ import json
 import os
 import platform
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -112,8 +113,11 @@ def measure(name: str, run: Callable[[], None]) -> Saved:
 
 
 def machine() -> dict[str, Any]:
-    """Return what seconds depend on: processor, cores, memory, load, versions; no names."""
+    """Return what seconds depend on: processor, cores, memory, load, GPU, versions; no names."""
+    torch = sys.modules.get("torch")
+    gpu = torch is not None and torch.cuda.is_available()
     return {
+        **({"gpu": torch.cuda.get_device_name()} if gpu else {}),
         "processor": _processor(),
         "cores": os.cpu_count(),
         "memory_gib": round(psutil.virtual_memory().total / 2**30),

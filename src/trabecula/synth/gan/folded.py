@@ -51,13 +51,13 @@ class Doubling(nn.ConvTranspose3d):
         return double(*_in_one_arithmetic(x, self.weight, self.bias))
 
 
-def halve(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+def halve(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
     """Convolve (B, K, 2 Z, 2 Y, 2 X) with weights (C, K, 4, 4, 4), stride 2 and padding 1."""
     found: Tensor = _Halved.apply(x, weight, bias)
     return found
 
 
-def double(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+def double(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
     """Convolve (B, C, Z, Y, X) transposed with weights (C, K, 4, 4, 4), stride 2 and padding 1."""
     if weight.shape[1] < _THIN:
         return _double_folded(x, weight, bias)
@@ -77,7 +77,7 @@ class _Halved(torch.autograd.Function):
     """A convolution that is folded forward, and has a transposed one as its gradient."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
         ctx.save_for_backward(x, weight)
         return conv3d(_fold(x), _fold_weights(weight), bias)
 
@@ -86,7 +86,7 @@ class _Halved(torch.autograd.Function):
         (slope,), (x, weight) = gradients, ctx.saved_tensors
         needed = ctx.needs_input_grad
         return (
-            double(slope, weight, slope.new_zeros(weight.shape[1])) if needed[0] else None,
+            double(slope, weight) if needed[0] else None,
             _weight_gradient(x, slope, weight) if needed[1] else None,
             slope.sum((0, 2, 3, 4)) if needed[2] else None,
         )
@@ -96,7 +96,7 @@ class _Doubled(torch.autograd.Function):
     """A transposed convolution as it is, with a folded convolution as its gradient."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
         ctx.save_for_backward(x, weight)
         return conv_transpose3d(x, weight, bias, stride=2, padding=1)
 
@@ -105,13 +105,13 @@ class _Doubled(torch.autograd.Function):
         (slope,), (x, weight) = gradients, ctx.saved_tensors
         needed = ctx.needs_input_grad
         return (
-            halve(slope, weight, slope.new_zeros(len(weight))) if needed[0] else None,
+            halve(slope, weight) if needed[0] else None,
             _weight_gradient(slope, x, weight) if needed[1] else None,
             slope.sum((0, 2, 3, 4)) if needed[2] else None,
         )
 
 
-def _double_folded(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+def _double_folded(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
     """Return a transposed convolution through one of 2^3.
 
     Input i reaches the outputs 2 i - 1 + k, k = 0 .. 3. So the cell of the outputs 2 p - 1 and
@@ -120,7 +120,8 @@ def _double_folded(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     channels, out = weight.shape[:2]
     taps = weight.reshape(channels, out, 2, 2, 2, 2, 2, 2).flip(2, 4, 6)
     small = taps.permute(3, 5, 7, 1, 0, 2, 4, 6).reshape(8 * out, channels, 2, 2, 2)
-    cells = conv3d(pad(x, (1,) * 6), _last(small), bias.repeat(8))
+    biases = None if bias is None else bias.repeat(8)
+    cells = conv3d(pad(x, (1,) * 6), _last(small), biases)
     return depth_to_space(cells)[:, :, 1:-1, 1:-1, 1:-1]
 
 

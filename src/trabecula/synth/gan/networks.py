@@ -146,8 +146,9 @@ class Deconvolution(nn.Module):
         maps = [latent, 8 * width, 8 * width, 4 * width, 2 * width, width if last else channels]
         layers: list[nn.Module] = []
         for place, (before, after) in enumerate(pairwise(maps)):
-            first = nn.ConvTranspose3d(before, after, 4) if place == 0 else None
-            layers.append(first or Doubling(before, after))
+            layers.append(
+                Doubling(before, after) if place else nn.ConvTranspose3d(before, after, 4)
+            )
             if place < 4 or last:
                 layers += [nn.BatchNorm3d(after), nn.ReLU()]
         if last:
