@@ -37,9 +37,8 @@ def network(request):
 
 def latent(network, *cells):
     draw = torch.Generator().manual_seed(7)
-    return torch.randn(
-        1, network.latent, *(side + 2 * network.halo for side in cells), generator=draw
-    )
+    inputs = network.latent + network.fractions
+    return torch.randn(1, inputs, *(side + 2 * network.halo for side in cells), generator=draw)
 
 
 def test_cells_have_the_promised_size(network):

@@ -32,7 +32,7 @@ BONE = tb.crop(tb.sample("bone"), 40)
 
 def untrained(exemplar=BONE, calibration=None, seed=0, **settings):
     """A model whose weights are chance, and whose threshold is the median."""
-    config = GanConfig(**{"width": 4, "latent": 6, **settings})
+    config = GanConfig(**{"width": 4, "latent": 6, "fractions": 0, **settings})
     calibration = calibration or {"kind": "labels", "present": [0, 1], "offsets": [0.0]}
     count = len(calibration.get("present", ()))
     torch.manual_seed(seed)

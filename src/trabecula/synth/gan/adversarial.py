@@ -13,6 +13,7 @@ from torch import Tensor
 from trabecula.core.seeds import key
 from trabecula.synth.gan import losses
 from trabecula.synth.gan.config import GanConfig
+from trabecula.synth.gan.local_fractions import LocalFractions
 from trabecula.synth.gan.networks import (
     Score,
     new_discriminator,
@@ -23,6 +24,7 @@ from trabecula.synth.gan.slices import new_slice_discriminator, take_slices
 
 _PENALTY_EVERY = 2  # iterations; its weight makes up for it
 _SLICED_EVERY = 2
+_WARMUP_FRACTIONS = 0.1  # of the weight of the local fractions, in the warm-up
 _WARMUP_RATE = 2.0  # times the learning rate, while the discriminator waits
 _RAMP = 0.1  # the moving average forgets the first iterations faster
 
@@ -38,6 +40,8 @@ class AdversarialPair:
     device : torch.device
     views : sequence of (int, int)
         Of pictures (`PictureFields.views`); none where it learns from a volume.
+    local : LocalFractions, optional
+        What the generator is given beside the noise, where its config says so.
     """
 
     def __init__(
@@ -46,8 +50,10 @@ class AdversarialPair:
         channels: int,
         device: torch.device,
         views: Sequence[tuple[int, int]] = (),
+        local: LocalFractions | None = None,
     ) -> None:
         self.config, self.channels, self.device = config, channels, device
+        self.local = local
         self.axes = [axis for axis, _ in views]
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(key(config.seed, "gan/weights")) >> 1)
@@ -78,8 +84,16 @@ class AdversarialPair:
             enabled=training_arithmetic(self.config, self.device) == "bf16",
         )
 
-    def generate(self, random: torch.Generator) -> Tensor:
-        """Generate a batch of crops, (B, K, crop, crop, crop) float32."""
+    def generate(self, random: torch.Generator, given: Tensor | None = None) -> Tensor:
+        """Generate a batch of crops, (B, K, crop, crop, crop) float32.
+
+        Parameters
+        ----------
+        random : torch.Generator
+        given : (B, K, ...) tensor, optional
+            Local fractions of their cells and of those in reach (`TrainingFields.given`), of a
+            generator that takes them. Default: the mean.
+        """
         cells = self.config.crop // self.config.cell
         side = cells + 2 * self.generator.halo if self.config.generator == "subpixel" else cells - 3
         z = torch.randn(
@@ -91,13 +105,17 @@ class AdversarialPair:
             generator=random,
             device=self.device,
         )
+        count = self.generator.fractions
+        if given is None:
+            given = torch.zeros(len(z), count, side, side, side, device=self.device)
+        z = torch.cat([z, given], 1)
         with self.autocast():
             return self.generator(z.to(memory_format=torch.channels_last_3d)).float()
 
-    def sample(self, random: torch.Generator) -> Tensor:
+    def sample(self, random: torch.Generator, given: Tensor | None = None) -> Tensor:
         """Generate a batch of crops without gradients."""
         with torch.no_grad():
-            return self.generate(random)
+            return self.generate(random, given)
 
     def set_learning_rate(self, factor: float) -> None:
         """Set the learning rates to `factor` times the config's."""
@@ -118,14 +136,33 @@ class AdversarialPair:
         return torch.stack(found).mean()
 
     def warmup_step(
-        self, real: Tensor, random: torch.Generator, iteration: int = 0
+        self,
+        real: Tensor,
+        random: torch.Generator,
+        iteration: int = 0,
+        *,
+        given: Tensor | None = None,
     ) -> dict[str, float]:
-        """Step the generator on the distribution of neighbourhoods alone; return the losses."""
-        loss = self.sliced(self.seen(self.generate(random), iteration), real, random)
+        """Step the generator on the distribution of neighbourhoods, and on the local fractions,
+        alone; return the losses.
+        """
+        fake = self.generate(random, given)
+        terms = {"sliced": self.sliced(self.seen(fake, iteration), real, random)}
+        terms |= self._obedience(fake, given)
         for group in self.optimisers[0].param_groups:
             group["lr"] *= _WARMUP_RATE
-        self._step(0, loss)
-        return {"generator": 0.0, "discriminator": 0.0, "sliced": loss.item()}
+        weight = _WARMUP_FRACTIONS * self.config.fractions
+        self._step(
+            0, terms["sliced"] + (weight * terms["fractions"] if "fractions" in terms else 0.0)
+        )
+        parts = {name: term.item() for name, term in terms.items()}
+        return {"generator": 0.0, "discriminator": 0.0, **parts}
+
+    def _obedience(self, fake: Tensor, given: Tensor | None) -> dict[str, Tensor]:
+        """Return the term of the local fractions, where they are given."""
+        if given is None or self.local is None:
+            return {}
+        return {"fractions": losses.local_fractions(fake, given, self.local)}
 
     def train_step(
         self,
@@ -134,6 +171,7 @@ class AdversarialPair:
         iteration: int,
         noise: float,
         *,
+        given: Tensor | None = None,
         shares: bool = False,
     ) -> dict[str, float]:
         """Step the discriminator, then the generator, on the same crops; return the losses.
@@ -145,11 +183,13 @@ class AdversarialPair:
         iteration : int
         noise : float
             Standard deviation of the noise on all crops that the discriminator sees.
+        given : (B, K, ...) tensor, optional
+            Local fractions of the real crops, which the generated ones are to have as well.
         shares : bool
             Whether to return `gradient_shares` as well; the step is the same.
         """
         config = self.config
-        fake = self.seen(self.generate(random), iteration)
+        fake = self.seen(self.generate(random, given), iteration)
         noises = [
             noise * torch.randn(real.shape, generator=random, device=self.device) if noise else 0.0
             for _ in range(2)
@@ -174,7 +214,9 @@ class AdversarialPair:
             )
         if config.sliced and iteration % _SLICED_EVERY == 0:
             terms["sliced"] = self.sliced(fake, real, random)
+        terms |= self._obedience(fake, given)
         weights = {
+            "fractions": config.fractions,
             "gram": config.gram,
             "structural": config.structural,
             "sliced": config.sliced * _SLICED_EVERY,
@@ -271,7 +313,7 @@ def gradient_shares(
     terms: Mapping[str, Tensor], weights: Mapping[str, float], fake: Tensor
 ) -> dict[str, float]:
     """Return the length of each weighted term's gradient by the generated crops, over that of the
-    adversarial term: "gram_share", "structural_share", "sliced_share".
+    adversarial term: "gram_share", "structural_share", "sliced_share", "fractions_share".
     """
     lengths = {
         name: float(torch.autograd.grad(term, fake, retain_graph=True)[0].float().norm())

@@ -85,6 +85,12 @@ class GanConfig:
     sliced: float = 2.0
     """Weight of the same term beside the adversarial loss afterwards, 0 .. 1000."""
 
+    fractions: float = 1.0
+    """Weight of the term by which the generator obeys the local fractions of the phases that it is
+    given, 0 .. 1000: samples scatter as parts of the exemplar do, and a target porosity is
+    honoured. 0 gives it none. Of the sub-pixel generator, and labels of a volume of at least 64
+    voxels a side; anything else learns without."""
+
     gram: float = 0.0
     """Weight of the gram loss, 0 .. 1000. The paper's: 0.1."""
 
@@ -163,7 +169,8 @@ class GanConfig:
     @classmethod
     def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Complete the settings of a recipe or a model that is older than some of them."""
-        return {"reduction": "mean", "storage": "float32", "views": (), **settings}
+        older = {"reduction": "mean", "storage": "float32", "views": (), "fractions": 0.0}
+        return {**older, **settings}
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
@@ -233,6 +240,7 @@ _RANGES = (
     ("penalty", 0, 1000, False),
     ("warmup", 0, 1, False),
     ("sliced", 0, 1000, False),
+    ("fractions", 0, 1000, False),
     ("gram", 0, 1000, False),
     ("structural", 0, 1000, False),
     ("rate", 1e-6, 0.1, False),
@@ -272,6 +280,7 @@ _PAPER: dict[str, Any] = {
     "noise": (0.0, 0.0),
     "warmup": 0.0,
     "sliced": 0.0,
+    "fractions": 0.0,
     "orientations": "none",
     "rate": 2e-4,
     "decay": 0.0,

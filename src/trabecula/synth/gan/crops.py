@@ -17,10 +17,13 @@ from trabecula.core.seeds import generator
 from trabecula.exemplar.views import views_of
 from trabecula.synth.gan import losses
 from trabecula.synth.gan.config import GanConfig
+from trabecula.synth.gan.local_fractions import LocalFractions
 from trabecula.synth.gan.orientations import Turn, oriented, turns_of
 from trabecula.synth.gan.slices import PictureFields, numbered_views
 from trabecula.synth.shared.content.fields import phase_fields, phases_present
 
+_LEAST = 64  # voxels a side: four cells whose surroundings are known
+_MARGIN = 40  # voxels beyond a crop: the generator's halo of 3 cells, and 2 around each
 _TAIL = 0.001  # share of grey values beyond each end of the range that is stretched over -1 .. 1
 
 
@@ -37,25 +40,52 @@ class TrainingFields:
         The orientations that count as alike.
     crop : int
         Edge of a crop, voxels.
+    shares : (K, Z + 2 margin, ...) uint8 tensor, optional
+        Voxels of the higher label, of more than two phases those of each; mirrored at the
+        exemplar's faces.
+    local : LocalFractions, optional
+        Of the exemplar.
     """
 
     values: Tensor
     turns: tuple[Turn, ...]
     crop: int
+    shares: Tensor | None = None
+    local: LocalFractions | None = None
 
     def crops(self, count: int, seed: int, iteration: int) -> Tensor:
         """Return (count, K, crop, crop, crop), random in place and orientation.
 
         They are a function of seed and iteration alone.
         """
+        return self._cut(self.values, self.crop, self._places(count, seed, iteration))
+
+    def given(self, count: int, seed: int, iteration: int) -> Tensor | None:
+        """Return the fractions around the cells of the same crops and of the generator's halo, in
+        deviations from the mean: (count, K, z, y, x), or None where it is given none.
+        """
+        if self.shares is None or self.local is None:
+            return None
+        places = self._places(count, seed, iteration)
+        parts = self._cut(self.shares, self.crop + 2 * _MARGIN, places)
+        around = losses.fractions_around(parts.float())
+        return losses.standardised(around, self.local)
+
+    def _places(self, count: int, seed: int, iteration: int) -> list[tuple[list[int], Turn]]:
+        """Return the first voxel of random crops, and their orientations."""
         random = generator(seed, "gan/crops", iteration)
-        c = self.crop
-        starts = random.integers(0, np.asarray(self.values.shape[1:]) - c + 1, (count, 3)).tolist()
+        most = np.asarray(self.values.shape[1:]) - self.crop + 1
+        starts = random.integers(0, most, (count, 3)).tolist()
         turns = random.integers(0, len(self.turns), count).tolist()
-        parts = []
-        for (z, y, x), turn in zip(starts, turns, strict=True):
-            part = self.values[:, z : z + c, y : y + c, x : x + c]
-            parts.append(oriented(part, self.turns[turn]))
+        return [(start, self.turns[turn]) for start, turn in zip(starts, turns, strict=True)]
+
+    @staticmethod
+    def _cut(values: Tensor, side: int, places: list[tuple[list[int], Turn]]) -> Tensor:
+        """Return the crops of `side` voxels at the places."""
+        parts = [
+            oriented(values[:, z : z + side, y : y + side, x : x + side], turn)
+            for (z, y, x), turn in places
+        ]
         return torch.stack(parts)
 
     @property
@@ -70,7 +100,8 @@ class TrainingFields:
 
     def on(self, device: torch.device) -> TrainingFields:
         """Return the same on a device."""
-        return replace(self, values=self.values.to(device))
+        shares = None if self.shares is None else self.shares.to(device)
+        return replace(self, values=self.values.to(device), shares=shares)
 
     def distance(self, field: Tensor, random: torch.Generator) -> float:
         """Return the distance of neighbourhoods (`losses.sliced`) of a field (1, K, Z, Y, X) to
@@ -85,7 +116,28 @@ class TrainingFields:
 def exemplar_fields(image: Image, config: GanConfig) -> TrainingFields:
     """Return the fields of an exemplar."""
     values = _values_of([image], config)[0]
-    return TrainingFields(values, turns_of(config.orientations), config.crop)
+    found = TrainingFields(values, turns_of(config.orientations), config.crop)
+    if not effective(config, [image]).fractions:
+        return found
+    present = phases_present([image])
+    counted = present[1:] if len(present) == 2 else present
+    shares = np.stack([image.values == label for label in counted]).astype(np.uint8)
+    around = losses.fractions_around(torch.from_numpy(shares)[None].float())[0].numpy()
+    beyond = np.pad(shares, [(0, 0), *[(_MARGIN, _MARGIN)] * 3], mode="symmetric")
+    return replace(found, shares=torch.from_numpy(beyond), local=LocalFractions.of(around))
+
+
+def effective(config: GanConfig, images: Sequence[Image]) -> GanConfig:
+    """Return the config without what its exemplars do not allow: local fractions are those of
+    labels of a volume, and of the sub-pixel generator.
+    """
+    able = (
+        config.generator == "subpixel"
+        and images[0].kind == "labels"
+        and images[0].ndim == 3
+        and min(images[0].shape) >= _LEAST
+    )
+    return config if able else replace(config, fractions=0.0)
 
 
 def picture_fields(images: Sequence[Image], config: GanConfig) -> PictureFields:

@@ -34,6 +34,7 @@ from trabecula.engine.blocks import Box
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.gaussian_random import normal_cells, quantiles
 from trabecula.engine.parallel import for_slabs, thread_count
+from trabecula.synth.gan.local_fractions import LocalFractions
 
 CELLS = 8
 """Cells of the latent along an edge of a tile; more would waste less around it, and more on boxes
@@ -49,6 +50,11 @@ them can enclose another.
 # step meets all places of a cell.
 _EVERY = 3
 _LEVELS = 257  # of the table of grey values
+_RESPONSES, _TILES = 9, 8  # fractions that are tried, and tiles for each
+
+Given = Callable[[tuple[int, ...], tuple[int, ...]], np.ndarray]
+"""Returns the local fractions of cells from a corner on, of so many sides: (K, *sides) float32."""
+
 _ROUNDS = 200  # of moving the offsets of several phases
 
 
@@ -168,7 +174,12 @@ def _gather(labels, z, y, x, edge, voxels):
 
 
 def calibrate(
-    network: Any, images: Sequence[Image], seed: int, *, tiles: int | None = None
+    network: Any,
+    images: Sequence[Image],
+    seed: int,
+    *,
+    tiles: int | None = None,
+    local: LocalFractions | None = None,
 ) -> dict[str, Any]:
     """Calibrate a generator so that `decode` gives the exemplar's fractions or grey values.
 
@@ -186,8 +197,10 @@ def calibrate(
         Number of tiles of noise. Default: the network's. Fractions differ from tile to tile, so
         that few tiles would shift every sample alike: 32 of bone (64^3) by .0025, half of the
         spread between samples of 120^3.
+    local : LocalFractions, optional
+        Of a generator that is given them. Default: the mean everywhere.
     """
-    field = held_out_field(network, seed, tiles or network.tiles)
+    field = held_out_field(network, seed, tiles or network.tiles, local=local)
     values = np.concatenate([image.values.ravel() for image in images])
     if images[0].kind == "grey":
         levels = np.linspace(0, 1, _LEVELS)
@@ -209,16 +222,52 @@ def calibrate(
     return {"kind": "labels", "present": present.tolist(), "offsets": offsets}
 
 
-def held_out_field(network: Any, seed: int, tiles: int) -> np.ndarray:
-    """Return every third voxel along every axis of tiles of noise, (K, voxels) float32."""
+def measure_response(
+    network: Any, local: LocalFractions, calibration: Mapping[str, Any], seed: int
+) -> np.ndarray:
+    """Return fractions of the higher of two phases that are given everywhere, and those that come
+    out, (2, N) rising; of more phases (2, 0).
+    """
+    if len(local.mean) > 1:
+        return np.zeros((2, 0))
+    given = np.linspace(local.levels[0, 0], local.levels[0, -1], _RESPONSES)
+    made = []
+    for value in given:
+        field = held_out_field(network, seed, _TILES, everywhere=float(value))
+        made.append(float((field[0] > calibration["offsets"][0]).mean()))
+    asked = local.mean[0] + local.deviation[0] * given
+    return np.stack([asked, np.maximum.accumulate(made)])
+
+
+def held_out_field(
+    network: Any,
+    seed: int,
+    tiles: int,
+    *,
+    local: LocalFractions | None = None,
+    everywhere: float = 0.0,
+) -> np.ndarray:
+    """Return every third voxel along every axis of tiles of noise, (K, voxels) float32.
+
+    A generator that is given local fractions gets those of unlimited material, or without `local`
+    the same everywhere, in deviations from the mean.
+    """
     torch = need("torch", extra="learn", purpose="method 'gan'")
     weight = next(network.parameters())
     random = torch.Generator().manual_seed(int(key(seed, "gan/held out")) >> 1)
+    drawn = key(seed, "gan/held out fractions")
     side = CELLS + 2 * network.halo
-    found = []
+    sides, found = (side,) * 3, []
     with torch.inference_mode():
-        for _ in range(tiles):
-            z = torch.randn(1, network.latent, side, side, side, generator=random)
+        for tile in range(tiles):
+            z = torch.randn(1, network.latent, *sides, generator=random)
+            given = torch.full((1, network.fractions, *sides), everywhere)
+            if local is not None and network.fractions:
+                # Tiles lie far apart, so that they are independent.
+                given = torch.from_numpy(local.draw(drawn, (64 * tile, 0, 0), sides, (0, 0, 0)))[
+                    None
+                ]
+            z = torch.cat([z, given], 1)
             z = z.to(weight.device, weight.dtype, memory_format=torch.channels_last_3d)
             field = network.cells(z)[0, :, ::_EVERY, ::_EVERY, ::_EVERY]
             found.append(field.float().flatten(1).cpu().numpy())
@@ -258,6 +307,7 @@ def make_tiles(
     dtype: Any,
     *,
     specks: int = 0,
+    given: Given | None = None,
 ) -> np.ndarray:
     """Return the values of a box.
 
@@ -272,6 +322,8 @@ def make_tiles(
     dtype : of the values
     specks : int
         Edge of the components that are removed, voxels; for labels alone.
+    given : callable, optional
+        Of a generator that takes local fractions. Default: the mean everywhere.
     """
     values = np.empty([last - first for first, last in box], dtype)
     edge = CELLS * network.cell
@@ -286,7 +338,7 @@ def make_tiles(
             def work(start: int, stop: int, together: list[Any] = together) -> None:
                 for tile in together[start:stop]:
                     inside, target = _overlap(box, tile, edge)
-                    field = _tile_field(network, key, tile, periods, margin_cells(specks))
+                    field = _tile_field(network, key, tile, periods, margin_cells(specks), given)
                     if specks:
                         beyond = (slice(network.cell // 2, network.cell // 2 + edge),) * 3
                         values[target] = remove_specks(to_values(field), specks)[beyond][inside]
@@ -303,13 +355,25 @@ def margin_cells(specks: int) -> int:
 
 
 def _tile_field(
-    network: Any, key: np.uint64, tile: tuple[int, ...], periods: tuple[int, ...], more: int
+    network: Any,
+    key: np.uint64,
+    tile: tuple[int, ...],
+    periods: tuple[int, ...],
+    more: int,
+    given: Given | None,
 ) -> np.ndarray:
     """Return the field of a tile and of `more` cells after it, (K, Z, Y, X) float32."""
     halo = network.halo
     latent = np.empty((network.latent, *(CELLS + more + 2 * halo,) * 3), np.float32)
     corner = np.array([CELLS * place - halo for place in tile], np.int64)
     normal_cells(latent, key, corner, np.array(periods, np.int64), quantiles())
+    sides = latent.shape[1:]
+    fractions = (
+        np.zeros((network.fractions, *sides), np.float32)
+        if given is None
+        else given(tuple(corner.tolist()), sides)
+    )
+    latent = np.concatenate([latent, fractions])
     torch, weight = need("torch", extra="learn", purpose="method 'gan'"), next(network.parameters())
     with torch.inference_mode():
         z = torch.from_numpy(latent)[None]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from trabecula.measure import euler_density, largest_fraction, two_point
 from trabecula.synth.gan.adversarial import AdversarialPair
 from trabecula.synth.gan.config import GanConfig
 from trabecula.synth.gan.crops import TrainingFields
-from trabecula.synth.gan.decode import calibrate, decode
+from trabecula.synth.gan.decode import calibrate, decode, measure_response
 from trabecula.synth.gan.log import TrainingLog, load_checkpoint
 from trabecula.synth.gan.networks import load_generator
 from trabecula.synth.gan.slices import PictureFields
@@ -111,6 +111,8 @@ class ExemplarComparison:
         random = torch.Generator().manual_seed(int(key(self.seed, "gan/looks")) >> 1)
         with torch.inference_mode():
             z = torch.randn(1, network.latent, side, side, side, generator=random)
+            # The exemplar's mean fractions everywhere.
+            z = torch.cat([z, torch.zeros(1, network.fractions, side, side, side)], 1)
             z = z.to(weight.device, weight.dtype, memory_format=torch.channels_last_3d)
             field = network.cells(z).float()
             distance = self.fields.distance(field, random)
@@ -212,9 +214,15 @@ class Evaluator:
             for name, tensor in pair.ema.state_dict().items()
         }
         network = load_generator(self.config, pair.channels, stored, pair.device)
+        calibration = calibrate(network, self.images, self.config.seed, local=pair.local)
+        more: dict[str, Any] = {}
+        if pair.local is not None:
+            response = measure_response(network, pair.local, calibration, self.config.seed)
+            more["fractions"] = replace(pair.local, response=response).to_json()
         return {
             "generator": stored,
-            "calibration": calibrate(network, self.images, self.config.seed),
+            "calibration": calibration,
+            **more,
             "training": {
                 "iterations": state.iteration,
                 "minutes": round(state.seconds / 60, 2),

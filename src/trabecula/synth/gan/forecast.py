@@ -15,6 +15,7 @@ from trabecula.core.errors import MemoryBudgetError
 from trabecula.core.image import Image
 from trabecula.engine.memory import format_bytes
 from trabecula.synth.gan.config import GanConfig
+from trabecula.synth.gan.crops import effective
 from trabecula.synth.gan.decode import CELLS
 from trabecula.synth.gan.evaluation import SIDE
 from trabecula.synth.gan.losses import EDGES, TABLE
@@ -62,6 +63,7 @@ def training_bytes(
     device : torch.device
         The processor: bytes of the process. A GPU: bytes of its memory.
     """
+    config = effective(config, images)
     flat, on_gpu = images[0].ndim == 2, device.type == "cuda"
     channels = channel_count(images)
     half = 2 if training_arithmetic(config, device) == "bf16" else 4
@@ -70,7 +72,7 @@ def training_bytes(
         held = sum(_layer_results(generator, lambda: generator(z)))
         held += 2 * sum(_layer_results(discriminator, lambda: discriminator(crop)))
         cells = max(SIDE // config.cell, CELLS) + 2 * generator.halo
-        tile = torch.empty(1, generator.latent, cells, cells, cells)
+        tile = torch.empty(1, generator.latent + generator.fractions, cells, cells, cells)
         evaluation = max(_layer_results(generator, lambda: generator.cells(tile)))
         networks = (generator, generator, discriminator)
         weights = sum(p.numel() for network in networks for p in network.parameters())
@@ -188,7 +190,7 @@ def _networks(
     cells = config.crop // config.cell + (
         2 * generator.halo if config.generator == "subpixel" else -3
     )
-    z = torch.empty(config.batch, generator.latent, cells, cells, cells)
+    z = torch.empty(config.batch, generator.latent + generator.fractions, cells, cells, cells)
     if flat:
         slices = 3 * config.batch * (config.crop // STEP)
         crop = torch.empty(slices, channels, config.crop, config.crop)

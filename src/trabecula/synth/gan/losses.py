@@ -13,13 +13,17 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, avg_pool3d, conv2d, conv3d, softplus
 
-from trabecula.synth.gan.networks import Score
+from trabecula.synth.gan.local_fractions import REACH, WEIGHTS, LocalFractions
+from trabecula.synth.gan.networks import Score, crop_centre
 
 SLICES = 4
 """Equally spaced slices along every axis that the gram loss looks at."""
 
 TABLE, CHUNK = 16, 4
 """Crops that hold the candidates of the structural loss, and how many of them at once."""
+
+_STEEP = 8.0  # of the step between two phases: a voxel beside an interface belongs to one
+_CELL = 8  # voxels
 
 EDGES = (8, 4, 2)
 """Edge and stride of the cubical regions of the structural loss, voxels of each of the first three
@@ -42,6 +46,53 @@ def standard(verdicts: Sequence[Tensor], *, real: bool) -> Tensor:
     return sum(
         (softplus(-v.float() if real else v.float()).mean() for v in verdicts), torch.zeros(())
     )
+
+
+def local_fractions(fake: Tensor, given: Tensor, local: LocalFractions) -> Tensor:
+    """Return the squared distance of the fractions around the cells of generated crops to those
+    that were given, in variances of the exemplar's.
+
+    Parameters
+    ----------
+    fake : (B, K, Z, Y, X) tensor
+        Fields of labels.
+    given : (B, K, z, y, x) tensor
+        Of the cells of the crops and the same number more on every side (`TrainingFields.given`).
+    local : LocalFractions
+    """
+    around = standardised(fractions_around(soft_labels(fake)), local)
+    return (around - crop_centre(given, *around.shape[2:])).square().mean()
+
+
+def standardised(around: Tensor, local: LocalFractions) -> Tensor:
+    """Return fractions (B, K, z, y, x) in deviations from the exemplar's mean."""
+    mean, deviation = (
+        torch.tensor(part, dtype=torch.float32, device=around.device).reshape(1, -1, 1, 1, 1)
+        for part in (local.mean, local.deviation)
+    )
+    return (around - mean) / deviation
+
+
+def soft_labels(field: Tensor) -> Tensor:
+    """Return the share of each phase in every voxel of a field (B, K, Z, Y, X): of one channel
+    that of the higher label.
+    """
+    steep = _STEEP * field
+    return torch.sigmoid(steep) if field.shape[1] == 1 else torch.softmax(steep, 1)
+
+
+def fractions_around(shares: Tensor) -> Tensor:
+    """Return the fractions around every cell (`local_fractions.average_around`) of the shares of
+    voxels, (B, K, Z, Y, X).
+    """
+    cells = avg_pool3d(shares, _CELL)
+    for axis in (2, 3, 4):
+        inner = cells.shape[axis] - 2 * REACH
+        cells = sum(
+            (weight * cells.narrow(axis, i, inner) for i, weight in enumerate(WEIGHTS)),
+            torch.zeros((), device=cells.device),
+        )
+    return cells
 
 
 def gradient_penalty(discriminator: nn.Module, real: Tensor) -> Tensor:

@@ -15,20 +15,23 @@ from trabecula.core.image import Image
 from trabecula.core.optional import need
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
+from trabecula.core.target import Target, porosity_of
 from trabecula.engine.blocks import Box
 from trabecula.engine.parallel import thread_count
 from trabecula.exemplar.views import spacing_of, views_of
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method, ModelState
-from trabecula.synth.api.windows import WindowModel
+from trabecula.synth.api.windows import WindowModel, field_in
 from trabecula.synth.gan import CAPABILITIES
 from trabecula.synth.gan.config import GanConfig
-from trabecula.synth.gan.decode import CELLS, decode, make_tiles, margin_cells
+from trabecula.synth.gan.decode import CELLS, Given, decode, make_tiles, margin_cells
+from trabecula.synth.gan.local_fractions import LocalFractions, cell_means
 from trabecula.synth.shared.pictures import check_pictures_agree
 
 PROCESS = 485 << 20
 """Bytes of the interpreter with NumPy, Numba and torch loaded."""
 
+_SLACK = 1e-3  # of a porosity beyond the range
 _AUTOGRAD = 40 << 20  # bytes of torch's code for training, loaded
 _LATENT = 200 << 10  # bytes of a tile's latent and the places of the tiles
 
@@ -47,7 +50,9 @@ class Gan(Method):
         if exemplars[0].ndim == 2:
             spacing = spacing_of(views_of(exemplars, self.config.views))
             parts["spacing"] = [float(edge) for edge in spacing]
-        return GanModel(self.config, exemplars, parts)
+        # What it learnt without stands in the model's settings.
+        config = self.config if "fractions" in parts else replace(self.config, fractions=0.0)
+        return GanModel(config, exemplars, parts)
 
     def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         """Forecast the bytes of the process; those of a GPU are checked when it trains."""
@@ -90,7 +95,8 @@ class GanModel(WindowModel):
     exemplars : sequence of Image or ExemplarInfo
     parts : dict
         "generator": tensors or arrays by name; "calibration" and "training": plain JSON (see
-        `decode` and `train`).
+        `decode` and `train`); "fractions", where it takes local fractions: plain JSON (see
+        `LocalFractions`).
     """
 
     capabilities = CAPABILITIES
@@ -103,8 +109,10 @@ class GanModel(WindowModel):
         super().__init__(replace(config, run=""), exemplars)
         weights = {name: _as_array(tensor) for name, tensor in parts["generator"].items()}
         self.parts = {**parts, "generator": weights}
+        self.local = LocalFractions.from_json(parts["fractions"]) if "fractions" in parts else None
         self._network: Any = None
         self._device = "cpu"
+        self._wanted: tuple[Request, np.ndarray] | None = None
 
     def on(self, device: str) -> GanModel:
         """Return the same model, which makes material on a device.
@@ -166,12 +174,11 @@ class GanModel(WindowModel):
         return self._network
 
     def state(self) -> ModelState:
-        """Return the weights, the calibration and the history of the training; of pictures the
-        spacing of the volume.
+        """Return the weights, the calibration, the local fractions and the history of the
+        training; of pictures the spacing of the volume.
         """
         plain = {"calibration": self.calibration}
-        if "spacing" in self.parts:
-            plain["spacing"] = self.parts["spacing"]
+        plain |= {name: self.parts[name] for name in ("spacing", "fractions") if name in self.parts}
         return ModelState(self.parts["generator"], plain, dict(self.parts.get("training", {})))
 
     def browser_parts(self) -> tuple[dict[str, Any], np.ndarray]:
@@ -182,7 +189,8 @@ class GanModel(WindowModel):
         settings : dict
             "name", "spacing", "unit", "phases", "shares" of what is made; "latent", "layers"
             (channels of output and input, and edge, of each convolution), "blurs", "channels" of
-            the network; "offsets", "present", "specks" of the labels.
+            the network; "fractions", what draws its local fractions, or None; "offsets",
+            "present", "specks" of the labels.
         weights : (N,) float32
             Of every layer its biases, then its weights (output, input, z, y, x).
 
@@ -207,6 +215,7 @@ class GanModel(WindowModel):
             "phases": list(made["phases"]),
             "shares": list(self.facts[0].shares),
             "latent": self.config.latent,
+            "fractions": None if self.local is None else self.local.page_parts(),
             "layers": [list(arrays[f"layers.{i}.weight"].shape[:3]) for i in layers],
             "blurs": self.config.smoothing + self.config.polish,
             "channels": self.channels,
@@ -230,10 +239,62 @@ class GanModel(WindowModel):
         )
         to_values = partial(decode, calibration=self.calibration)
         latent = key(request.seed, "gan/latent")
-        return make_tiles(network, latent, box, periods, to_values, self.dtype, specks=self.specks)
+        return make_tiles(
+            network,
+            latent,
+            box,
+            periods,
+            to_values,
+            self.dtype,
+            specks=self.specks,
+            given=self._given(request, box, periods),
+        )
+
+    def _given(self, request: Request, box: Box, periods: tuple[int, ...]) -> Given | None:
+        """Return what gives the generator its local fractions: a random field, or the target's."""
+        if self.local is None:
+            return None
+        porosity = porosity_of(request.target)
+        if porosity is None:
+            drawn = key(request.seed, "gan/fractions")
+            return partial(self.local.draw, drawn, periods=periods)
+        field_in(porosity, box)  # which refuses a box that leaves the field
+        if self._wanted is None or self._wanted[0] is not request:
+            self._wanted = request, self._cells_of(porosity, request)
+        wanted = self._wanted[1]
+
+        def given(corner: tuple[int, ...], sides: tuple[int, ...]) -> np.ndarray:
+            places = [
+                np.arange(first, first + side) % period
+                if period
+                else np.clip(np.arange(first, first + side), 0, length - 1)
+                for first, side, period, length in zip(
+                    corner, sides, periods, wanted.shape, strict=True
+                )
+            ]
+            return wanted[np.ix_(*places)][None]
+
+        return given
+
+    def _cells_of(self, porosity: Target, request: Request) -> np.ndarray:
+        """Return what to give each cell of a request, so that the target comes out."""
+        assert self.local is not None
+        cell = self.config.cell
+        if isinstance(porosity, np.ndarray):
+            means = cell_means(porosity, cell, inside=request.mask)
+        else:
+            means = np.full([-(-side // cell) for side in request.shape], porosity)
+        return self.local.given(means if self._void_is_higher() else 1 - means)
+
+    def _void_is_higher(self) -> bool:
+        """Tell whether the higher of the two labels is the void's."""
+        void = self.facts[0].empty_label
+        return bool(self.calibration["present"][1] == void)
 
     def _check_request(self, request: Request) -> None:
         super()._check_request(request)
+        if request.target:
+            self._check_porosity(request)
         cell = self.config.cell
         for side, wraps, axis in zip(request.shape, request.periodic, "zyx", strict=True):
             if wraps and side % cell:
@@ -243,6 +304,32 @@ class GanModel(WindowModel):
                     f"along {axis}: ask for {' or '.join(map(str, near))}, or leave {axis} out of "
                     "periodic"
                 )
+
+    def _check_porosity(self, request: Request) -> None:
+        """Raise where the model takes no porosity, or not the one that is asked for."""
+        if self.local is None or not self.local.response.size:
+            why = (
+                "it learnt no local fractions"
+                if self.local is None
+                else f"it has {len(self.local.mean)} phases, and a porosity leaves open what the "
+                "others share"
+            )
+            raise RequestError(
+                f"this model takes no target porosity: {why}; train one of labels of two phases "
+                "(fractions=1), or leave the target out"
+            )
+        low, high = self.local.range
+        if not self._void_is_higher():
+            low, high = 1 - high, 1 - low
+        asked = np.asarray(porosity_of(request.target))
+        asked = asked[request.mask] if request.mask is not None and asked.ndim else asked
+        least, most = float(asked.min()), float(asked.max())
+        if least < low - _SLACK or most > high + _SLACK:
+            wanted = f"{least:.3g}" if least == most else f"{least:.3g} .. {most:.3g}"
+            raise RequestError(
+                f"the target porosity {wanted} is outside of {low:.3g} .. {high:.3g}, which this "
+                "model makes: keep within it, or use method 'texture'"
+            )
 
     def report_run(self) -> Mapping[str, Any]:
         """Return version and arithmetic: a few voxels near a threshold depend on both."""

@@ -1,9 +1,10 @@
 """The networks, new or with stored weights. Imports torch: reached through `core.optional` alone.
 
 A generator has `cell` (voxels along an edge of a cell of the latent), `halo` (cells of the latent
-that it needs beyond each side), `tiles` (of noise that it is calibrated on) and `latent`
-(channels). Its `cells` makes the voxels of the inner cells, whatever lies beyond the halo. A
-discriminator gives verdicts, a list of tensors, one for each scale.
+that it needs beyond each side), `tiles` (of noise that it is calibrated on), `latent` (channels of
+noise) and `fractions` (channels of local fractions, which follow the noise). Its `cells` makes the
+voxels of the inner cells, whatever lies beyond the halo. A discriminator gives verdicts, a list of
+tensors, one for each scale.
 """
 
 from __future__ import annotations
@@ -36,7 +37,12 @@ def new_generator(config: GanConfig, channels: int) -> Subpixel | Deconvolution:
     """
     if config.generator == "subpixel":
         return Subpixel(
-            config.latent, config.width, channels, smoothing=config.smoothing, polish=config.polish
+            config.latent,
+            config.width,
+            channels,
+            fractions=channels if config.fractions else 0,
+            smoothing=config.smoothing,
+            polish=config.polish,
         )
     return Deconvolution(
         config.latent, config.width, channels, last=config.generator == "deconvolution+conv"
@@ -56,8 +62,8 @@ class Subpixel(nn.Module):
 
     Parameters
     ----------
-    latent, width, channels : int
-        Channels of the latent, of the finest layer and of the output.
+    latent, width, channels, fractions : int
+        Channels of the noise, of the finest layer, of the output and of the local fractions.
     smoothing, polish : int
         How often the output is blurred, and how often more when material is made.
     """
@@ -67,13 +73,21 @@ class Subpixel(nn.Module):
     tiles = 256
 
     def __init__(
-        self, latent: int, width: int, channels: int, *, smoothing: int, polish: int
+        self,
+        latent: int,
+        width: int,
+        channels: int,
+        *,
+        fractions: int,
+        smoothing: int,
+        polish: int,
     ) -> None:
         super().__init__()
-        self.latent, self.smoothing, self.polish = latent, smoothing, polish
+        self.latent, self.fractions = latent, fractions
+        self.smoothing, self.polish = smoothing, polish
         self.layers = nn.ModuleList(
             [
-                nn.Conv3d(latent, 4 * width, 3),
+                nn.Conv3d(latent + fractions, 4 * width, 3),
                 nn.Conv3d(4 * width, 8 * 2 * width, 2),
                 nn.Conv3d(2 * width, 2 * width, 3),
                 nn.Conv3d(2 * width, 8 * width, 2),
@@ -139,6 +153,7 @@ class Deconvolution(nn.Module):
     cell = 16
     halo = 3
     tiles = 8
+    fractions = 0
 
     def __init__(self, latent: int, width: int, channels: int, *, last: bool) -> None:
         super().__init__()
@@ -395,7 +410,8 @@ def inference_bytes(config: GanConfig, channels: int, cells: int) -> int:
             if not list(layer.children()):
                 layer.register_forward_hook(see)
         inner = cells + 2 * network.halo
+        inputs = network.latent + network.fractions
         field = network.cells(
-            torch.empty(1, network.latent, inner, inner, inner, dtype=dtype_of(arithmetic(config)))
+            torch.empty(1, inputs, inner, inner, inner, dtype=dtype_of(arithmetic(config)))
         )
         return 4 * largest + 8 * field.nbytes

@@ -75,6 +75,9 @@ class PictureFields:
             found.append(torch.stack(parts))
         return torch.stack(found, 1)
 
+    def given(self, count: int, seed: int, iteration: int) -> None:
+        """Return None: slices do not say what the fractions in space are."""
+
     def on(self, device: torch.device) -> PictureFields:
         """Return the same on a device."""
         return replace(self, pictures=tuple(picture.to(device) for picture in self.pictures))

@@ -20,7 +20,7 @@ from trabecula.core.seeds import key
 from trabecula.engine.parallel import thread_count
 from trabecula.synth.gan.adversarial import AdversarialPair
 from trabecula.synth.gan.config import GanConfig
-from trabecula.synth.gan.crops import TrainingFields, fields_of
+from trabecula.synth.gan.crops import TrainingFields, effective, fields_of
 from trabecula.synth.gan.evaluation import Evaluator, TrainingState, failure
 from trabecula.synth.gan.forecast import check_device_memory
 from trabecula.synth.gan.log import save_checkpoint
@@ -61,6 +61,7 @@ def train(config: GanConfig, given: Image | Sequence[Image]) -> dict[str, Any]:
     images = [given] if isinstance(given, Image) else list(given)
     for image in images:
         check_size(image, config)
+    config = effective(config, images)
     device = find_device(config)
     check_device_memory(config, images, device)
     fields = fields_of(images, config).on(device)
@@ -76,7 +77,8 @@ class _Training:
     ) -> None:
         self.config, self.images, self.fields = config, images, fields
         views = fields.views if isinstance(fields, PictureFields) else ()
-        self.pair = AdversarialPair(config, fields.channels, fields.device, views)
+        local = fields.local if isinstance(fields, TrainingFields) else None
+        self.pair = AdversarialPair(config, fields.channels, fields.device, views, local)
         if config.structural:
             candidates = fields.crops(min(TABLE, 4 * config.batch), config.seed, 2**40)
             self.pair.table = CandidateTable(candidates, chunk=CHUNK)
@@ -120,18 +122,21 @@ class _Training:
         random = torch.Generator(pair.device).manual_seed(
             int(key(config.seed, f"gan/{state.iteration}")) >> 1
         )
-        real = self.fields.crops(config.batch, config.seed, state.iteration)
+        place = config.batch, config.seed, state.iteration
+        real, given = self.fields.crops(*place), self.fields.given(*place)
         pair.set_learning_rate(state.rate(done, config))
         if done < config.warmup:
-            step_losses = pair.warmup_step(real, random, state.iteration)
+            step_losses = pair.warmup_step(real, random, state.iteration, given=given)
         else:
             noise = config.noise[0] + (config.noise[1] - config.noise[0]) * done
-            step_losses = pair.train_step(real, random, state.iteration, noise, shares=look)
+            step_losses = pair.train_step(
+                real, random, state.iteration, noise, given=given, shares=look
+            )
         state.iteration += 1
         pair.update_ema(state.iteration)
         if state.iteration % _CHECK == 0:
             grown = done > config.warmup + _YOUNG
-            if found := failure(pair.sample(random), real, step_losses, grown=grown):
+            if found := failure(pair.sample(random, given), real, step_losses, grown=grown):
                 self.state = _restart(found, state, self.good[0])
                 pair.restore(self.good[1])
                 return None

@@ -45,7 +45,8 @@ class EndlessModel:
 
     def about(self, number: int) -> dict[str, Any]:
         """Return what the script reads, where the material is volume `number` of the page."""
-        keys = ("latent", "layers", "blurs", "channels", "offsets", "present", "specks")
+        network = ("latent", "fractions", "layers", "blurs", "channels")
+        keys = (*network, "offsets", "present", "specks")
         model = {key: self.settings[key] for key in keys}
         return {
             "volume": number,

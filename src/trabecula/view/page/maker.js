@@ -17,13 +17,13 @@ class Maker {
   // The field of a box of side^3 voxels whose corner is a multiple of 8 voxels (z, y, x) away from the origin.
   make({ seed, side, corner }, tell = () => {}) {
     const { network, model } = this, more = model.specks ? 1 : 0, count = side / CELL + more, edge = CELL * count;
-    const parts = Math.ceil(count / BLOCK_CELLS), key = seedKey(seed, "gan/latent"), cuts = [];
+    const parts = Math.ceil(count / BLOCK_CELLS), cuts = [];
     for (let k = 0; k < parts; k++) cuts.push([Math.floor(k * count / parts), Math.floor((k + 1) * count / parts)]);
     const field = Array.from({ length: model.channels }, () => new Float32Array(edge ** 3));
     let done = 0;
     for (const z of cuts) for (const y of cuts) for (const x of cuts) {
       const first = [z, y, x].map(([low]) => low), cells = [z, y, x].map(([low, high]) => high - low);
-      const part = network.field(key, first.map((value, k) => value + corner[k] / CELL), cells, this.table, (share) => {
+      const part = network.field(seed, first.map((value, k) => value + corner[k] / CELL), cells, this.table, (share) => {
         done += share / parts ** 3;
         tell(done);
       });

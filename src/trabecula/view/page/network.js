@@ -8,7 +8,7 @@ const SLOPE = Math.fround(0.2);
 const grouped = (count) => Math.ceil(count / GROUP) * GROUP;
 
 class Network {
-  // `settings`: latent, layers ([output, input, edge] each), blurs, channels; `weights`: those of all layers, each after its bias.
+  // `settings`: latent, fractions (null, or what is drawn beside the noise), layers ([output, input, edge] each), blurs, channels; `weights`: those of all layers, each after its bias.
   constructor(settings, weights, options = {}) {
     Object.assign(this, settings);
     const edge = BLOCK_CELLS, sides = this.sidesOf([edge, edge, edge]);
@@ -52,10 +52,15 @@ class Network {
     return products.map((product) => product / all);
   }
 
-  // The field of cells from a corner (z, y, x) on: (channels, 8 Z, 8 Y, 8 X) float32, -1..1.
-  field(key, corner, cells, table, tell = () => {}) {
-    const { floats } = this.convolver, sides = this.sidesOf(cells), shares = this.shares(cells);
-    normalCells(floats.subarray(this.input / 4), this.latent, sides[0], key, corner.map((value) => value - HALO), table);
+  // The field of cells of a seed from a corner (z, y, x) on: (channels, 8 Z, 8 Y, 8 X) float32, -1..1.
+  field(seed, corner, cells, table, tell = () => {}) {
+    const { floats } = this.convolver, sides = this.sidesOf(cells), shares = this.shares(cells), first = corner.map((value) => value - HALO);
+    const input = floats.subarray(this.input / 4);
+    normalCells(input, this.latent, sides[0], seedKey(seed, "gan/latent"), first, table);
+    if (this.fractions) {
+      const drawn = localFractions(this.fractions, sides[0], seedKey(seed, "gan/fractions"), first, table);
+      input.set(drawn, this.latent * sides[0][0] * sides[0][1] * sides[0][2]);
+    }
     this.layers.forEach((layer, i) => {
       this.convolve(i, sides[i]);
       this.settle(i, sides[i]);
@@ -120,6 +125,51 @@ class Network {
     }
     return found;
   }
+}
+
+// The local fractions that the generator is given beside the noise (synth/gan/local_fractions.py), of cells from a corner on:
+// (K, Z, Y, X). Noise and filter are whole numbers, so that their sums are exact.
+function localFractions({ filter, mixing, normal, levels }, sides, key, corner, table) {
+  const edge = Math.round(Math.cbrt(filter.length)), reach = (edge - 1) / 2, wide = sides.map((side) => side + 2 * reach);
+  const [depth, height, width] = sides, size = depth * height * width, around = wide[0] * wide[1] * wide[2], count = mixing.length;
+  const noise = new Float32Array(count * around), found = new Float32Array(count * size);
+  normalCells(noise, count, wide, key, corner.map((value) => value - reach), table);
+  const scale = 1 / (4096 * Math.sqrt(filter.reduce((sum, weight) => sum + weight * weight, 0)));
+  const fields = mixing.map((_, c) => {
+    const sums = new Float64Array(size), whole = Float64Array.from(noise.subarray(c * around, (c + 1) * around), (value) => 4096 * value);
+    for (let k = 0; k < filter.length; k++) {
+      const weight = filter[k], dz = Math.floor(k / (edge * edge)), dy = Math.floor(k / edge) % edge, dx = k % edge;
+      if (weight === 0) continue;
+      for (let z = 0, at = 0; z < depth; z++) {
+        for (let y = 0; y < height; y++) {
+          let from = ((z + dz) * wide[1] + y + dy) * wide[2] + dx;
+          for (let x = 0; x < width; x++) sums[at++] += weight * whole[from++];
+        }
+      }
+    }
+    return sums.map((sum) => sum * scale);
+  });
+  mixing.forEach((row, c) => {
+    for (let i = 0; i < size; i++) {
+      let value = 0;
+      for (let k = 0; k <= c; k++) value += row[k] * fields[k][i];
+      found[c * size + i] = interpolated(value, normal, levels[c]);
+    }
+  });
+  return found;
+}
+
+// The value at x of a line through points (rising `from`, `to`), constant beyond its ends.
+function interpolated(x, from, to) {
+  const last = from.length - 1;
+  if (x <= from[0]) return to[0];
+  if (x >= from[last]) return to[last];
+  let [low, high] = [0, last];
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (from[middle] <= x) low = middle; else high = middle;
+  }
+  return (to[high] - to[low]) / (from[high] - from[low]) * (x - from[low]) + to[low];
 }
 
 // The mean with weights 1 2 1 along an axis, which loses a voxel at each end; sums are rounded as in Python.

@@ -1,0 +1,209 @@
+"""Local fractions: the exemplar's, a random field like them, and a target in their place."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="method gan needs the extra 'learn'")
+
+import trabecula as tb  # noqa: E402
+from trabecula.core.seeds import key  # noqa: E402
+from trabecula.errors import RequestError  # noqa: E402
+from trabecula.synth.api.exemplar_info import exemplar_info  # noqa: E402
+from trabecula.synth.gan import losses  # noqa: E402
+from trabecula.synth.gan.config import GanConfig  # noqa: E402
+from trabecula.synth.gan.crops import effective, exemplar_fields  # noqa: E402
+from trabecula.synth.gan.local_fractions import (  # noqa: E402
+    LocalFractions,
+    average_around,
+    cell_means,
+)
+from trabecula.synth.gan.method import GanModel  # noqa: E402
+from trabecula.synth.gan.networks import new_generator  # noqa: E402
+
+BONE = tb.sample("bone")
+KEY = key(3, "gan/fractions")
+ENDLESS = (0, 0, 0)
+
+
+def smooth_field(shape, seed=0, reach=2):
+    """Return a field (1, *shape) of mean 0.3, correlated over a few cells."""
+    found = np.random.default_rng(seed).standard_normal(shape)
+    for axis in range(3):
+        found = sum(np.roll(found, step, axis) for step in range(-reach, reach + 1))
+    return (0.3 + 0.1 * found / found.std())[None]
+
+
+@pytest.fixture(scope="module")
+def local():
+    return LocalFractions.of(smooth_field((40, 40, 40)))
+
+
+def test_fractions_around_cells_are_the_same_in_torch_and_in_numpy():
+    shares = np.random.default_rng(0).random((2, 3, 64, 56, 72)).astype(np.float32)
+    cells = shares.reshape(2, 3, 8, 8, 7, 8, 9, 8).mean((3, 5, 7))
+    found = losses.fractions_around(torch.from_numpy(shares)).numpy()
+    assert found.shape == (2, 3, 4, 3, 5)
+    assert np.allclose(average_around(cells), found, atol=1e-6)
+
+
+@pytest.mark.parametrize("orientations", ["none", "inverted", "all"])
+def test_what_is_given_are_the_fractions_of_the_crops(orientations):
+    """The term is nothing where a field has them, in whatever orientation."""
+    fields = exemplar_fields(BONE, GanConfig(orientations=orientations, clip=0))
+    crops, given = fields.crops(3, 0, 7), fields.given(3, 0, 7)
+    assert given.shape == (3, 1, 14, 14, 14)
+    assert float(losses.local_fractions(4 * crops, given, fields.local)) < 1e-6
+    other = fields.given(3, 0, 8)
+    assert float(losses.local_fractions(crops, other, fields.local)) > 0.1
+
+
+def test_three_phases_are_given_three_fractions():
+    values = np.random.default_rng(1).integers(0, 3, (64, 64, 64)).astype(np.uint8)
+    fields = exemplar_fields(tb.Image(values, "labels"), GanConfig(clip=0))
+    assert fields.shares.shape == (3, 144, 144, 144)
+    crops, given = fields.crops(1, 0, 0), fields.given(1, 0, 0)
+    assert float(losses.local_fractions(4 * crops, given, fields.local)) < 1e-6
+    drawn = fields.local.draw(KEY, (0, 0, 0), (6, 6, 6), ENDLESS)
+    shares = fields.local.mean[:, None, None, None] + np.moveaxis(
+        np.moveaxis(drawn, 0, -1) * fields.local.deviation, -1, 0
+    )
+    assert np.allclose(shares.sum(0), 1, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    "exemplar",
+    [
+        tb.crop(BONE, 60),
+        tb.Image(np.zeros((64, 64), np.uint8) + np.eye(64, dtype=np.uint8), "labels"),
+        tb.Image(np.random.default_rng(0).random((64, 64, 64)).astype(np.float32), "grey"),
+    ],
+    ids=["small", "picture", "grey"],
+)
+def test_what_has_no_local_fractions_learns_without(exemplar):
+    assert effective(GanConfig(), [exemplar]).fractions == 0
+
+
+def test_drawn_fractions_are_as_the_exemplars(local):
+    drawn = local.draw(KEY, (0, 0, 0), (80, 80, 80), ENDLESS)[0]
+    learnt = (smooth_field((40, 40, 40))[0] - local.mean[0]) / local.deviation[0]
+    assert drawn.mean() == pytest.approx(0, abs=0.1)
+    assert drawn.std() == pytest.approx(1, abs=0.1)
+    for axis in range(3):
+        for lag in (1, 2, 3, 5):
+            pairs = [
+                (
+                    np.take(field, range(field.shape[axis] - lag), axis)
+                    * np.take(field, range(lag, field.shape[axis]), axis)
+                ).mean()
+                for field in (drawn, learnt)
+            ]
+            assert pairs[0] == pytest.approx(pairs[1], abs=0.12), (axis, lag)
+
+
+def test_drawn_fractions_are_those_of_their_place(local):
+    whole = local.draw(KEY, (-3, 0, 5), (12, 9, 10), ENDLESS)
+    part = local.draw(KEY, (2, 4, 6), (5, 3, 4), ENDLESS)
+    assert np.array_equal(part, whole[:, 5:10, 4:7, 1:5])
+    assert not np.array_equal(local.draw(key(4, "x"), (-3, 0, 5), (12, 9, 10), ENDLESS), whole)
+
+
+def test_drawn_fractions_repeat_after_a_period(local):
+    found = local.draw(KEY, (0, 0, 0), (8, 20, 4), (4, 10, 0))
+    assert np.array_equal(found[:, :4], found[:, 4:])
+    assert np.array_equal(found[:, :, :10], found[:, :, 10:])
+
+
+def test_a_description_is_read_as_it_was_written(local):
+    again = LocalFractions.from_json(local.to_json())
+    sides = (4, 4, 4)
+    assert np.array_equal(
+        again.draw(KEY, sides, sides, ENDLESS), local.draw(KEY, sides, sides, ENDLESS)
+    )
+    with pytest.raises(ValueError, match="damaged"):
+        LocalFractions.from_json({**local.to_json(), "levels": [[0.0]]})
+
+
+def test_cells_take_the_mean_of_what_counts_in_them():
+    field = np.zeros((5, 4, 12))
+    field[:, :, :4], field[4] = 1, 3
+    found = cell_means(field, 4)
+    assert found.shape == (2, 1, 3)
+    assert found[0, 0].tolist() == [1, 0, 0]
+    assert found[1, 0].tolist() == [3, 3, 3]
+    inside = np.zeros(field.shape, bool)
+    inside[:2, :, :3] = True
+    assert cell_means(field, 4, inside=inside).tolist() == [[[1, 1, 1]], [[1, 1, 1]]]
+
+
+def obedient_model(exemplar=BONE, *, specks=0):
+    """Return a model whose cells are solid where it is given more than the mean, else void."""
+    config = GanConfig(width=2, latent=2, specks=specks, smoothing=0, precision="float32")
+    network = new_generator(config, 1)
+    with torch.no_grad():
+        for place, layer in enumerate(network.layers):
+            middle = layer.weight.shape[-1] // 2 if place % 2 == 0 else 0
+            layer.weight.zero_()
+            layer.bias.zero_()
+            kinds = layer.weight.shape[0] // (8 if place % 2 else 1)
+            source = config.latent if place == 0 else 0  # the local fraction follows the noise
+            layer.weight[::kinds, source, middle, middle, middle] = 1
+    local = exemplar_fields(exemplar, config).local
+    response = np.array([[0.1, 0.3], [0.0, 1.0]])  # what is asked for is twice as strong
+    return GanModel(
+        config,
+        [exemplar_info(exemplar)],
+        {
+            "generator": network.state_dict(),
+            "calibration": {"kind": "labels", "present": [0, 1], "offsets": [0.0]},
+            "fractions": replace(local, response=response).to_json(),
+        },
+    )
+
+
+def test_a_target_takes_the_place_of_the_drawn_fractions():
+    model = obedient_model()
+    mean = model.local.mean[0]
+    turn = 1 - (mean - 0.1) / 0.2  # the porosity at which the mean is asked for
+    field = np.full((48, 24, 24), turn - 0.05, np.float32)
+    field[24:] = turn + 0.05
+    made = model.generate((48, 24, 24), target={"porosity": field}).values
+    assert made[:16].all() and not made[32:].any()  # doubling moves a cell by 6 voxels
+    fraction = model.generate((48, 24, 24), target={"volume_fraction": 1 - field}).values
+    assert np.array_equal(fraction, made)
+    assert model.generate(24, target={"porosity": turn - 0.05}).values.all()
+    box = model.window((48, 24, 24), ((20, 28), (3, 9), (0, 24)), target={"porosity": field})
+    assert np.array_equal(box, made[20:28, 3:9])
+
+
+def test_without_a_target_the_fractions_are_drawn():
+    made = obedient_model().generate(128, seed=1).values
+    cells = made.reshape(16, 8, 16, 8, 16, 8).mean((1, 3, 5))
+    assert set(np.unique(cells)) == {0, 1}
+    assert 0.2 < cells.mean() < 0.8
+
+
+def test_a_porosity_beyond_what_is_made_is_refused():
+    model = obedient_model()
+    model.local.response[:] = [[0.1, 0.3], [0.15, 0.3]]
+    with pytest.raises(RequestError, match=r"outside of 0\.7 \.\. 0\.85"):
+        model.generate(24, target={"porosity": 0.9})
+    inside = np.zeros((24, 24, 24), bool)
+    inside[:12] = True
+    field = np.where(inside, 0.8, 0.2).astype(np.float32)
+    model.generate(24, target={"porosity": field}, mask=inside)
+    with pytest.raises(RequestError, match=r"0\.2 \.\. 0\.8"):
+        model.generate(24, target={"porosity": field})
+
+
+def test_a_model_without_local_fractions_takes_no_porosity():
+    old = obedient_model()
+    config = replace(old.config, fractions=0.0)
+    parts = {
+        "generator": new_generator(config, 1).state_dict(),
+        "calibration": old.calibration,
+    }
+    model = GanModel(config, old.facts, parts)
+    with pytest.raises(RequestError, match="learnt no local fractions"):
+        model.generate(24, target={"porosity": 0.8})
