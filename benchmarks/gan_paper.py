@@ -56,6 +56,7 @@ if "numba" in _missing():
 
 import trabecula as tb  # noqa: E402
 from common import asked, pictures, table, tell  # noqa: E402
+from trabecula.core.checks import as_number  # noqa: E402
 from trabecula.core.errors import InputError, MemoryBudgetError  # noqa: E402
 from trabecula.core.progress import listen  # noqa: E402
 
@@ -90,7 +91,7 @@ def gan_paper() -> None:
     it at a tenth of the width.
     """
     start, device = time.monotonic(), (asked("DEVICE") or ["cuda"])[0]
-    minutes = float((asked("MINUTES") or ["24"])[0])
+    minutes = _number("minutes", 24.0, high=1e5)
     _check(device, minutes)
     out = pictures() or Path("gan_paper")
     state = Path((asked("STATE") or [os.fspath(out / "state")])[0])
@@ -104,7 +105,7 @@ def gan_paper() -> None:
     if not spent:
         if asked("BATCH"):
             found["profile of the paper's batch"], _ = _profile(image, settings, minutes)
-            settings = {**settings, "batch": int(asked("BATCH")[0])}
+            settings = {**settings, "batch": int(_number("batch", 100.0, high=512, whole=True))}
         found["profile"], settings = _profile(image, settings, minutes)
         (state / "settings.json").write_text(json.dumps(settings))
         (state / "profile.json").write_text(json.dumps(found["profile"]))
@@ -332,6 +333,16 @@ def tabulate(found: Mapping[str, Any]) -> None:
         told("largest"),
         f"{found['seconds a sample']:.2f}",
     )
+
+
+def _number(name: str, default: float, *, high: float, whole: bool = False) -> float:
+    """Return an option of the command as a number."""
+    given = (asked(name.upper()) or [str(default)])[0]
+    try:
+        value = float(given)
+    except ValueError:
+        raise InputError(f"--{name} {given} is no number") from None
+    return float(as_number(value, name=name, low=1 if whole else 0, high=high, whole=whole))
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import trabecula as tb
 from common import asked, busy, pictures, table
 from descriptors import scans
 from trabecula import fields
+from trabecula.synth.api.model import Model
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.texture.final_shape import settle_shape
 from trabecula.view.slices import montage
@@ -32,8 +33,8 @@ the nearest fraction, at most ALIKE away, where there are LEAST."""
 
 def graded_bone_fields() -> None:
     """Three scans of bone, 96^3 of each, graded by a ramp, a radial field, a cantilever's density
-    and a drawn one, 96 x 96 x 128; by `texture`, and by `quilt` where TRABECULA_BENCH_METHODS names
-    it.
+    and a drawn one, 96 x 96 x 128; by `texture`, or by the methods of TRABECULA_BENCH_METHODS
+    (`gan`: the shipped model of bone a).
 
     `frac`: fraction of windows of 20^3 less the field's mean in them. Of each figure: mean ratio of
     windows of 40^3 to the scan's windows of equal fraction, and the share of them within 2.6
@@ -47,7 +48,9 @@ def graded_bone_fields() -> None:
         held = fields.windowed(exemplar, size=SIZE, names=["volume_fraction"])["volume_fraction"]
         low, high = (float(value) for value in np.quantile(held, [0.05, 0.95]))
         for method in asked("METHODS") or ["texture"]:
-            model = tb.method(method).fit(exemplar)
+            model = model_of(method, name, exemplar)
+            if model is None:
+                continue
             model.generate((32, 32, 48), seed=1, target={"volume_fraction": 0.2})  # kernels
             shown = []
             for kind in KINDS:
@@ -74,7 +77,8 @@ def graded_bone_fields() -> None:
 
 def graded_bone_stiffness() -> None:
     """Stiffness along x over the solid's, of windows of 64^3 with a solid fraction of .165: of two
-    scans, and of what is graded from 96^3 by a ramp and by an even field, two seeds.
+    scans, and of what is graded from 96^3 by a ramp and by an even field, two seeds; by `texture`,
+    or by the methods of TRABECULA_BENCH_METHODS.
     """
     row = table("case", "windows", "mean", "least", "most", wide=34)
     every = scans()
@@ -84,12 +88,24 @@ def graded_bone_stiffness() -> None:
         held = fields.windowed(exemplar, size=SIZE, names=["volume_fraction"])["volume_fraction"]
         low, high = (float(value) for value in np.quantile(held, [0.05, 0.95]))
         even = np.linspace(ASKED, ASKED + 1e-4, SHAPE[2]) + np.zeros(SHAPE)
-        model = tb.method("texture").fit(exemplar)
-        for kind, field in (("ramp", field_of("ramp", low, high)), ("even", even)):
-            target = {"volume_fraction": field.astype(np.float32)}
-            made = [model.generate(SHAPE, seed=seed, target=target) for seed in (1, 2)]
-            chosen = [window for one in made for window in windows_at(one, 16)[:4]]
-            row(f"{name}, {kind}", *stiffness_of(chosen))
+        for method in asked("METHODS") or ["texture"]:
+            model = model_of(method, name, exemplar)
+            for kind, field in (("ramp", field_of("ramp", low, high)), ("even", even)):
+                if model is None:
+                    continue
+                target = {"volume_fraction": field.astype(np.float32)}
+                made = [model.generate(SHAPE, seed=seed, target=target) for seed in (1, 2)]
+                chosen = [window for one in made for window in windows_at(one, 16)[:4]]
+                row(f"{name}, {kind}, {method}", *stiffness_of(chosen))
+
+
+def model_of(method: str, bone: str, exemplar: tb.Image) -> Model | None:
+    """Return the model of a method for an exemplar; of `gan` the shipped one, where there is one of
+    that bone.
+    """
+    if method != "gan":
+        return tb.method(method).fit(exemplar)
+    return tb.load_model("bone") if bone == BONES[0] else None
 
 
 def windows_at(image: tb.Image, step: int) -> list[tb.Image]:

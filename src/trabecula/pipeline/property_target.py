@@ -21,7 +21,6 @@ from trabecula.core.image import Image
 from trabecula.core.progress import notify, track
 from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request
-from trabecula.exemplar.target import porosity_range
 from trabecula.measure.properties import PROPERTIES, measure_property
 from trabecula.synth.api.model import Model, as_request
 
@@ -243,9 +242,8 @@ def _check_model(model: Model, request: Request) -> None:
 
 def _map(model: Model, request: Request, name: str, memory: int | None) -> list[Point]:
     """Return small trials over the porosities that the model can make, by porosity."""
-    ranges = [porosity_range(exemplar) for exemplar in model.exemplars] or [_WIDEST]
-    low = max(_WIDEST[0], min(first for first, _ in ranges))
-    high = min(_WIDEST[1], max(last for _, last in ranges))
+    least, most = model.porosities() or _WIDEST
+    low, high = max(_WIDEST[0], least), min(_WIDEST[1], most)
     found = []
     for porosity in track(np.linspace(low, high, _TRIALS).tolist(), f"trials of {name}"):
         trial = replace(request, target={"porosity": round(porosity, _DIGITS)})

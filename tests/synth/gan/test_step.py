@@ -9,10 +9,13 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="method gan needs the extra 'learn'")
 
+import trabecula as tb  # noqa: E402
 from trabecula.synth.gan import losses  # noqa: E402
 from trabecula.synth.gan.adversarial import AdversarialPair  # noqa: E402
 from trabecula.synth.gan.config import PRESETS, GanConfig  # noqa: E402
+from trabecula.synth.gan.crops import exemplar_fields  # noqa: E402
 from trabecula.synth.gan.evaluation import TrainingState  # noqa: E402
+from trabecula.synth.gan.local_fractions import average_around  # noqa: E402
 from trabecula.synth.gan.losses import CandidateTable  # noqa: E402
 from trabecula.synth.gan.networks import new_discriminator  # noqa: E402
 
@@ -174,6 +177,33 @@ def test_a_step_takes_r1_and_the_sliced_distance_every_other_time(iteration):
     wanted = -sum(log_sigmoid(b - a).mean() for a, b in pairs)
     wanted += 3.0 * 2 * float(apart) * (iteration == 0)
     assert of_generator == pytest.approx(wanted, rel=1e-4)
+
+
+@pytest.mark.parametrize("warm", [False, True])
+def test_a_step_holds_the_generator_to_the_fractions_that_it_was_given(warm):
+    """The squared distance of the fractions around cells, in variances of the exemplar's, times
+    its weight: a tenth of that in the warm-up.
+    """
+    config = GanConfig(**SMALL, crop=64, penalty=0.0, sliced=0.0, fractions=3.0)
+    fields = exemplar_fields(tb.sample("bone"), config)
+    real, given = fields.crops(2, 0, 0), fields.given(2, 0, 0)
+    pair = AdversarialPair(config, 1, torch.device("cpu"), (), fields.local)
+    found = {}
+    pair._step = lambda network, loss: found.update({network: loss.item()})
+    random = torch.Generator().manual_seed(5)
+    with torch.no_grad():
+        fake = pair.generate(torch.Generator().manual_seed(5), given)
+        shares = 1 / (1 + np.exp(-8 * fake[:, 0].double().numpy()))
+    cells = shares.reshape(2, 8, 8, 8, 8, 8, 8).mean((2, 4, 6))
+    apart = (average_around(cells) - fields.local.mean[0]) / fields.local.deviation[0]
+    obeyed = np.square(apart - given[:, 0, 5:-5, 5:-5, 5:-5].double().numpy()).mean()
+    if warm:
+        parts = pair.warmup_step(real, random, given=given)
+        assert found[0] == pytest.approx(parts["sliced"] + 0.1 * 3 * obeyed, rel=1e-4)
+        return
+    parts = pair.train_step(real, random, 1, 0.0, given=given)
+    assert parts["fractions"] == pytest.approx(obeyed, rel=1e-4)
+    assert found[0] == pytest.approx(parts["generator"] + 3 * obeyed, rel=1e-4)
 
 
 def test_noise_hides_real_and_generated_crops_alike():

@@ -28,7 +28,7 @@ from trabecula.engine import checkpoint, tensors
 from trabecula.engine.files import replacing
 from trabecula.engine.memory import Plan, check_budget, largest_within
 from trabecula.engine.parts import write_parts
-from trabecula.exemplar.target import check_target_porosity
+from trabecula.exemplar.target import check_target_porosity, porosity_range
 from trabecula.synth.api.capabilities import Capabilities
 from trabecula.synth.api.exemplar_info import ExemplarInfo, exemplar_info, result_voxels
 
@@ -367,6 +367,13 @@ class Model(ABC):
         return name in known or any(
             head in known and name.startswith(head) for head in (OF_A_PHASE, TWO_POINT)
         )
+
+    def porosities(self) -> tuple[float, float] | None:
+        """Return the least and greatest porosity that can be a target: by the exemplars' places;
+        None where nothing bounds it.
+        """
+        ranges = [porosity_range(exemplar) for exemplar in self.exemplars]
+        return (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
 
     def _check_target(self, request: Request) -> None:
         """Raise where the exemplars hold nothing like the target; a method that comes as near as it

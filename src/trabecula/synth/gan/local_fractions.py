@@ -229,8 +229,13 @@ def cell_means(field: np.ndarray, cell: int, *, inside: np.ndarray | None = None
     inside : (Z, Y, X) bool array, optional
         Where the field counts.
     """
-    weight = np.ones(field.shape) if inside is None else inside.astype(np.float64)
-    total, known = _cell_sums(np.where(weight > 0, field, 0.0), cell), _cell_sums(weight, cell)
+    totals, counts = [], []
+    for first in range(0, len(field), cell):  # a layer of cells at a time takes little memory
+        part = field[first : first + cell].astype(np.float64)
+        there = np.ones(part.shape, bool) if inside is None else inside[first : first + cell]
+        totals.append(_cell_sums(np.where(there, part, 0.0), cell))
+        counts.append(_cell_sums(there.astype(np.float64), cell))
+    total, known = np.concatenate(totals), np.concatenate(counts)
     while not (known > 0).all():
         near, count = _spread(total / np.maximum(known, 1)), _spread((known > 0) * 1.0)
         empty = (known == 0) & (count > 0)

@@ -86,7 +86,7 @@ def fractions_around(shares: Tensor) -> Tensor:
     voxels, (B, K, Z, Y, X).
     """
     cells = avg_pool3d(shares, _CELL)
-    for axis in (2, 3, 4):
+    for axis in range(2, 5):
         inner = cells.shape[axis] - 2 * REACH
         cells = sum(
             (weight * cells.narrow(axis, i, inner) for i, weight in enumerate(WEIGHTS)),

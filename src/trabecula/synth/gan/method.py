@@ -305,22 +305,34 @@ class GanModel(WindowModel):
                     "periodic"
                 )
 
+    def porosities(self) -> tuple[float, float] | None:
+        """Return the least and greatest porosity that the generator makes where it is given the
+        fractions of the exemplar's places; None where it takes no porosity.
+        """
+        void = self.facts[0].empty_label
+        if self.local is None or not self.local.response.size:
+            return None
+        if void not in self.calibration["present"]:
+            return None
+        low, high = self.local.range
+        return (low, high) if self._void_is_higher() else (1 - high, 1 - low)
+
+    def _check_target(self, request: Request) -> None:
+        """Accept what `_check_porosity` accepts, with exemplars or without."""
+
     def _check_porosity(self, request: Request) -> None:
         """Raise where the model takes no porosity, or not the one that is asked for."""
-        if self.local is None or not self.local.response.size:
-            why = (
-                "it learnt no local fractions"
-                if self.local is None
-                else f"it has {len(self.local.mean)} phases, and a porosity leaves open what the "
-                "others share"
-            )
+        found = self.porosities()
+        if found is None:
+            count = len(self.calibration.get("present", ()))
+            why = "it learnt no local fractions"
+            if self.local is not None:
+                why = "it has no void" if count == 2 else f"it has {count} phases"
             raise RequestError(
-                f"this model takes no target porosity: {why}; train one of labels of two phases "
-                "(fractions=1), or leave the target out"
+                f"this model takes no target porosity: {why}; train one of labels of void and one "
+                "other phase (fractions=1), or leave the target out"
             )
-        low, high = self.local.range
-        if not self._void_is_higher():
-            low, high = 1 - high, 1 - low
+        low, high = found
         asked = np.asarray(porosity_of(request.target))
         asked = asked[request.mask] if request.mask is not None and asked.ndim else asked
         least, most = float(asked.min()), float(asked.max())
