@@ -300,14 +300,15 @@ def test_a_model_in_half_precision_and_in_parts_is_the_same_model(stripes, tmp_p
 
 
 def test_a_model_from_before_these_settings_loads_as_it_was():
-    """The shipped models hold no `reduction`, `storage` or `views`."""
+    """The model of cement holds no `reduction`, `storage`, `views` or `fractions`."""
     from trabecula.engine import tensors
     from trabecula.synth.api.serialize import place_of
 
-    words = tensors.decode(place_of("bone").read_bytes())[1]
+    words = tensors.decode(place_of("cement").read_bytes())[1]
     assert "reduction" not in words["trabecula"]
-    config = tb.load_model("bone").config
+    config = tb.load_model("cement").config
     assert (config.reduction, config.storage, config.views) == ("mean", "float32", ())
+    assert config.fractions == 0
     assert GanConfig.recorded({})["reduction"] == "mean"
 
 
