@@ -52,6 +52,8 @@ def graded_bone_fields() -> None:
             if model is None:
                 continue
             model.generate((32, 32, 48), seed=1, target={"volume_fraction": 0.2})  # kernels
+            if method == "gan":
+                low, high = within(model, low, high)
             shown = []
             for kind in KINDS:
                 limits = (0.1, 0.3) if (name, kind) == (BONES[2], "radial") else (low, high)
@@ -90,9 +92,11 @@ def graded_bone_stiffness() -> None:
         even = np.linspace(ASKED, ASKED + 1e-4, SHAPE[2]) + np.zeros(SHAPE)
         for method in asked("METHODS") or ["texture"]:
             model = model_of(method, name, exemplar)
+            if model is None:
+                continue
+            if method == "gan":
+                low, high = within(model, low, high)
             for kind, field in (("ramp", field_of("ramp", low, high)), ("even", even)):
-                if model is None:
-                    continue
                 target = {"volume_fraction": field.astype(np.float32)}
                 made = [model.generate(SHAPE, seed=seed, target=target) for seed in (1, 2)]
                 chosen = [window for one in made for window in windows_at(one, 16)[:4]]
@@ -106,6 +110,12 @@ def model_of(method: str, bone: str, exemplar: tb.Image) -> Model | None:
     if method != "gan":
         return tb.method(method).fit(exemplar)
     return tb.load_model("bone") if bone == BONES[0] else None
+
+
+def within(model: Model, low: float, high: float) -> tuple[float, float]:
+    """Return limits of a volume fraction within those of a model's porosities."""
+    least, most = model.porosities() or (0.0, 1.0)
+    return max(low, 1 - most), min(high, 1 - least)
 
 
 def windows_at(image: tb.Image, step: int) -> list[tb.Image]:
