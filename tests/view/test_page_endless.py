@@ -10,6 +10,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.seeds import key
 from trabecula.engine.gaussian_random import normal_cells, quantiles
 from trabecula.synth.gan.decode import remove_specks
+from trabecula.synth.gan.local_fractions import LocalFractions
 from trabecula.view.page.endless import as_endless
 
 nodes = pytest.mark.skipif(find_node() is None, reason=MISSING)
@@ -30,7 +31,7 @@ class SmallModel:
         self.settings = {
             "name": "small", "spacing": [2.0, 2.0, 2.0], "unit": "um", "phases": list(phases),
             "shares": [1 / len(phases)] * len(phases), "latent": 8,
-            "layers": [list(size) for size in sizes],
+            "fractions": None, "layers": [list(size) for size in sizes],
             "blurs": 1, "channels": channels, "offsets": [0.0] * channels,
             "present": list(range(len(phases))), "specks": specks,
         }  # fmt: skip
@@ -61,6 +62,29 @@ def test_latent_numbers_are_pythons_to_the_bit(tmp_path):
     )
     assert found == [int(stage) & 0xFFFFFFFF, int(stage) >> 32]
     np.testing.assert_array_equal(np.fromfile(tmp_path / "cells", np.float32), own.ravel())
+
+
+@nodes
+def test_local_fractions_are_pythons_to_the_bit(tmp_path):
+    shares = np.random.default_rng(0).random((2, 9, 10, 11))
+    local = LocalFractions.of(shares)
+    corner, sides, seed = (-3, 5, 2**20), (3, 4, 5), 123456789012
+    own = local.draw(key(seed, "gan/fractions"), corner, sides, (0, 0, 0))
+    steps = as_endless(SmallModel(), None, 32, 0).blocks()["quantiles"]
+    run_scripts(
+        tmp_path,
+        ("philox.js", "convolution.js", "network.js", "maker.js"),
+        """
+        const table = quantileTable([...array("steps", Int16Array)]);
+        const key = seedKey(given.seed, "gan/fractions");
+        write("drawn", localFractions(given.local, given.sides, key, given.corner, table));
+        console.log("null");
+        """,
+        given={"local": local.page_parts(), "sides": sides, "corner": corner, "seed": seed},
+        arrays={"steps": steps},
+    )
+    found = np.fromfile(tmp_path / "drawn", np.float32).reshape(own.shape)
+    assert np.array_equal(found, own) and own.std() > 0.3
 
 
 @nodes
