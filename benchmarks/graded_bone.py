@@ -46,14 +46,13 @@ def graded_bone_fields() -> None:
         scan = every[name]
         exemplar, own = tb.crop(scan, 96), figures_of(np.asarray(scan.values), step=WIDE)
         held = fields.windowed(exemplar, size=SIZE, names=["volume_fraction"])["volume_fraction"]
-        low, high = (float(value) for value in np.quantile(held, [0.05, 0.95]))
+        ends = [float(value) for value in np.quantile(held, [0.05, 0.95])]
         for method in asked("METHODS") or ["texture"]:
             model = model_of(method, name, exemplar)
             if model is None:
                 continue
+            low, high = within(model, *ends) if method == "gan" else ends
             model.generate((32, 32, 48), seed=1, target={"volume_fraction": 0.2})  # kernels
-            if method == "gan":
-                low, high = within(model, low, high)
             shown = []
             for kind in KINDS:
                 limits = (0.1, 0.3) if (name, kind) == (BONES[2], "radial") else (low, high)
@@ -88,14 +87,13 @@ def graded_bone_stiffness() -> None:
         exemplar = tb.crop(every[name], 96)
         row(f"{name}, the scan", *stiffness_of(windows_at(every[name], 32)[:12]))
         held = fields.windowed(exemplar, size=SIZE, names=["volume_fraction"])["volume_fraction"]
-        low, high = (float(value) for value in np.quantile(held, [0.05, 0.95]))
+        ends = [float(value) for value in np.quantile(held, [0.05, 0.95])]
         even = np.linspace(ASKED, ASKED + 1e-4, SHAPE[2]) + np.zeros(SHAPE)
         for method in asked("METHODS") or ["texture"]:
             model = model_of(method, name, exemplar)
             if model is None:
                 continue
-            if method == "gan":
-                low, high = within(model, low, high)
+            low, high = within(model, *ends) if method == "gan" else ends
             for kind, field in (("ramp", field_of("ramp", low, high)), ("even", even)):
                 target = {"volume_fraction": field.astype(np.float32)}
                 made = [model.generate(SHAPE, seed=seed, target=target) for seed in (1, 2)]

@@ -13,12 +13,8 @@ from trabecula.errors import RequestError  # noqa: E402
 from trabecula.synth.api.exemplar_info import exemplar_info  # noqa: E402
 from trabecula.synth.gan import losses  # noqa: E402
 from trabecula.synth.gan.config import GanConfig  # noqa: E402
-from trabecula.synth.gan.crops import effective, exemplar_fields  # noqa: E402
-from trabecula.synth.gan.local_fractions import (  # noqa: E402
-    LocalFractions,
-    average_around,
-    cell_means,
-)
+from trabecula.synth.gan.crops import effective_config, exemplar_fields  # noqa: E402
+from trabecula.synth.gan.local_fractions import LocalFractions, cell_means  # noqa: E402
 from trabecula.synth.gan.method import GanModel  # noqa: E402
 from trabecula.synth.gan.networks import new_generator  # noqa: E402
 
@@ -40,7 +36,15 @@ def local():
     return LocalFractions.of(smooth_field((40, 40, 40)))
 
 
-def test_fractions_around_cells_are_the_same_in_torch_and_in_numpy():
+def average_around(cells):
+    """Return the binomial means over 5 x 5 x 5 cells, which two at every end do not have."""
+    weights = [np.array([1, 4, 6, 4, 1]) / 16] * 3
+    kernel = np.multiply.outer(np.multiply.outer(*weights[:2]), weights[2])
+    windows = np.lib.stride_tricks.sliding_window_view(cells, (5, 5, 5), (-3, -2, -1))
+    return (windows * kernel).sum((-3, -2, -1))
+
+
+def test_fractions_around_cells_are_binomial_means():
     shares = np.random.default_rng(0).random((2, 3, 64, 56, 72)).astype(np.float32)
     cells = shares.reshape(2, 3, 8, 8, 7, 8, 9, 8).mean((3, 5, 7))
     found = losses.fractions_around(torch.from_numpy(shares)).numpy()
@@ -82,7 +86,7 @@ def test_three_phases_are_given_three_fractions():
     ids=["small", "picture", "grey"],
 )
 def test_what_has_no_local_fractions_learns_without(exemplar):
-    assert effective(GanConfig(), [exemplar]).fractions == 0
+    assert effective_config(GanConfig(), [exemplar]).fractions == 0
 
 
 def test_drawn_fractions_are_as_the_exemplars(local):

@@ -117,7 +117,7 @@ def exemplar_fields(image: Image, config: GanConfig) -> TrainingFields:
     """Return the fields of an exemplar."""
     values = _values_of([image], config)[0]
     found = TrainingFields(values, turns_of(config.orientations), config.crop)
-    if not effective(config, [image]).fractions:
+    if not effective_config(config, [image]).fractions:
         return found
     present = phases_present([image])
     counted = present[1:] if len(present) == 2 else present
@@ -127,7 +127,7 @@ def exemplar_fields(image: Image, config: GanConfig) -> TrainingFields:
     return replace(found, shares=torch.from_numpy(beyond), local=LocalFractions.of(around))
 
 
-def effective(config: GanConfig, images: Sequence[Image]) -> GanConfig:
+def effective_config(config: GanConfig, images: Sequence[Image]) -> GanConfig:
     """Return the config without what its exemplars do not allow: local fractions are those of
     labels of a volume, and of the sub-pixel generator.
     """

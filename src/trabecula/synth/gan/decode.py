@@ -264,9 +264,8 @@ def held_out_field(
             given = torch.full((1, network.fractions, *sides), everywhere)
             if local is not None and network.fractions:
                 # Tiles lie far apart, so that they are independent.
-                given = torch.from_numpy(local.draw(drawn, (64 * tile, 0, 0), sides, (0, 0, 0)))[
-                    None
-                ]
+                corner = (64 * tile, 0, 0)
+                given = torch.from_numpy(local.draw(drawn, corner, sides, (0, 0, 0))[None])
             z = torch.cat([z, given], 1)
             z = z.to(weight.device, weight.dtype, memory_format=torch.channels_last_3d)
             field = network.cells(z)[0, :, ::_EVERY, ::_EVERY, ::_EVERY]

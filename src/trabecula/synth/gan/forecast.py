@@ -15,7 +15,7 @@ from trabecula.core.errors import MemoryBudgetError
 from trabecula.core.image import Image
 from trabecula.engine.memory import format_bytes
 from trabecula.synth.gan.config import GanConfig
-from trabecula.synth.gan.crops import effective
+from trabecula.synth.gan.crops import effective_config
 from trabecula.synth.gan.decode import CELLS
 from trabecula.synth.gan.evaluation import SIDE
 from trabecula.synth.gan.losses import EDGES, TABLE
@@ -63,7 +63,7 @@ def training_bytes(
     device : torch.device
         The processor: bytes of the process. A GPU: bytes of its memory.
     """
-    config = effective(config, images)
+    config = effective_config(config, images)
     flat, on_gpu = images[0].ndim == 2, device.type == "cuda"
     channels = channel_count(images)
     half = 2 if training_arithmetic(config, device) == "bf16" else 4

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from statistics import NormalDist
 from typing import Any
 
@@ -37,15 +38,6 @@ _FARTHEST = 8  # cells that the covariance reaches at most
 _LEVELS = 65  # of the distribution's table
 _WHOLE = 1 << 10  # what stands for the largest weight of the filter
 _CORRECTIONS = 20  # of the filter's spectrum
-
-
-def average_around(cells: np.ndarray) -> np.ndarray:
-    """Return the weighted means around cells: (..., Z, Y, X) loses two at every end."""
-    for axis in (-3, -2, -1):
-        inner = cells.shape[axis] - 2 * REACH
-        parts = (cells.take(range(i, i + inner), axis) for i in range(2 * REACH + 1))
-        cells = np.sum([w * part for w, part in zip(WEIGHTS, parts, strict=True)], axis=0)
-    return cells
 
 
 @dataclass(frozen=True)
@@ -178,7 +170,9 @@ class LocalFractions:
 _NAMES = ("mean", "deviation", "levels", "mixing", "filter", "response")
 
 
+@cache
 def _normal_levels() -> np.ndarray:
+    """Return the standard normal numbers that stand for the levels."""
     return np.array([NormalDist().inv_cdf((i + 0.5) / _LEVELS) for i in range(_LEVELS)])
 
 

@@ -82,7 +82,7 @@ def soft_labels(field: Tensor) -> Tensor:
 
 
 def fractions_around(shares: Tensor) -> Tensor:
-    """Return the fractions around every cell (`local_fractions.average_around`) of the shares of
+    """Return the fractions around every cell (as in `local_fractions`) of the shares of
     voxels, (B, K, Z, Y, X).
     """
     cells = avg_pool3d(shares, _CELL)

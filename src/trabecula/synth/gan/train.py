@@ -20,7 +20,7 @@ from trabecula.core.seeds import key
 from trabecula.engine.parallel import thread_count
 from trabecula.synth.gan.adversarial import AdversarialPair
 from trabecula.synth.gan.config import GanConfig
-from trabecula.synth.gan.crops import TrainingFields, effective, fields_of
+from trabecula.synth.gan.crops import TrainingFields, effective_config, fields_of
 from trabecula.synth.gan.evaluation import Evaluator, TrainingState, failure
 from trabecula.synth.gan.forecast import check_device_memory
 from trabecula.synth.gan.log import save_checkpoint
@@ -61,7 +61,7 @@ def train(config: GanConfig, given: Image | Sequence[Image]) -> dict[str, Any]:
     images = [given] if isinstance(given, Image) else list(given)
     for image in images:
         check_size(image, config)
-    config = effective(config, images)
+    config = effective_config(config, images)
     device = find_device(config)
     check_device_memory(config, images, device)
     fields = fields_of(images, config).on(device)
