@@ -9,9 +9,10 @@ import trabecula as tb  # noqa: E402
 from trabecula.cli.method_choice import check_fits  # noqa: E402
 from trabecula.errors import InputError  # noqa: E402
 from trabecula.exemplar.views import views_of  # noqa: E402
+from trabecula.synth.gan import losses  # noqa: E402
 from trabecula.synth.gan.adversarial import AdversarialPair  # noqa: E402
 from trabecula.synth.gan.config import GanConfig  # noqa: E402
-from trabecula.synth.gan.crops import picture_fields  # noqa: E402
+from trabecula.synth.gan.crops import effective_config, picture_fields  # noqa: E402
 from trabecula.synth.gan.networks import (  # noqa: E402
     Subpixel,
     depth_to_space,
@@ -79,6 +80,54 @@ def test_the_turns_of_a_picture_are_the_symmetries_of_the_square():
     for name, count in (("none", 1), ("inverted", 2), ("mirrors", 4), ("all", 8)):
         turned = {tuple(oriented(corner, t).flatten().tolist()) for t in turns_of(name, axes=2)}
         assert len(turned) == count
+
+
+def test_pictures_have_no_distances_and_one_of_all_planes_is_alike_from_all_sides():
+    config = GanConfig()
+    found = effective_config(config, [picture(0)])
+    assert (found.clip, found.orientations) == (0, "all")
+    assert effective_config(config, [picture(0), picture(1)]).orientations == "inverted"
+    two = effective_config(GanConfig(views=("yx", "zx")), [picture(0)])
+    assert two.orientations == "inverted"
+    mirrors = effective_config(GanConfig(orientations="mirrors"), [picture(0)])
+    assert mirrors.orientations == "mirrors"
+    fields = picture_fields([picture(0)], GanConfig(crop=40))
+    assert len(fields.turns) == 8
+    assert set(fields.pictures[0].unique().tolist()) == {-1.0, 1.0}
+
+
+def test_generated_crops_are_given_fractions_that_pictures_tell():
+    values = np.kron(picture(0).values, np.ones((2, 2), np.uint8))
+    large = tb.Image(values, "labels")
+    fields = picture_fields([large], GanConfig(crop=48))
+    assert fields.local.mean[0] == pytest.approx(values.mean())
+    given = fields.given(2, 0, 5)
+    assert given.shape == (2, 1, 12, 12, 12)
+    assert torch.equal(given, fields.given(2, 0, 5))
+    assert not torch.equal(given, fields.given(2, 0, 6))
+    assert not torch.equal(given[0], given[1])
+    assert fields.given(1, 0, 5).shape == (1, 1, 12, 12, 12)
+    assert picture_fields([large], GanConfig(crop=48, fractions=0)).given(2, 0, 5) is None
+    assert picture_fields([picture(0)], GanConfig(crop=40)).given(2, 0, 5) is None  # 48 x 54
+
+
+@pytest.mark.parametrize("warm", [False, True])
+def test_volumes_are_held_to_the_fractions_and_slices_of_them_are_judged(warm):
+    large = tb.Image(np.kron(picture(0).values, np.ones((2, 2), np.uint8)), "labels")
+    config = GanConfig(**{**TINY, "crop": 48}, iterations=1, precision="float32")
+    config = effective_config(config, [large])
+    fields = picture_fields([large], config)
+    pair = AdversarialPair(config, 1, torch.device("cpu"), fields.views, fields.local)
+    given, random = fields.given(1, 0, 0), torch.Generator().manual_seed(5)
+    made = pair.sample(torch.Generator().manual_seed(5), given)
+    wanted = float(losses.local_fractions(made, given, fields.local))
+    crops = fields.crops(1, 0, 0)
+    if warm:
+        found = pair.warmup_step(crops, random, 0, given=given)
+    else:
+        found = pair.train_step(crops, random, 0, 0.1, given=given, shares=True)
+        assert found["fractions_share"] > 0
+    assert found["fractions"] == pytest.approx(wanted, rel=1e-4)
 
 
 def test_each_picture_has_a_discriminator_and_both_networks_learn():

@@ -80,7 +80,7 @@ def test_three_phases_are_given_three_fractions():
     "exemplar",
     [
         tb.crop(BONE, 60),
-        tb.Image(np.zeros((64, 64), np.uint8) + np.eye(64, dtype=np.uint8), "labels"),
+        tb.Image(np.eye(64, 60, dtype=np.uint8), "labels"),
         tb.Image(np.random.default_rng(0).random((64, 64, 64)).astype(np.float32), "grey"),
     ],
     ids=["small", "picture", "grey"],
@@ -127,6 +127,64 @@ def test_a_description_is_read_as_it_was_written(local):
     )
     with pytest.raises(ValueError, match="damaged"):
         LocalFractions.from_json({**local.to_json(), "levels": [[0.0]]})
+
+
+def test_what_is_the_same_everywhere_is_given_as_that():
+    cubes = np.indices((64, 64, 64)) // 8
+    values = (cubes.sum(0) % 3).astype(np.uint8)
+    local = exemplar_fields(tb.Image(values, "labels"), GanConfig(clip=0)).local
+    assert np.isfinite(local.draw(KEY, (0, 0, 0), (4, 4, 4), ENDLESS)).all()
+
+
+def thresholded(shape, seed):
+    """Return an isotropic material of correlated noise, a third of it solid, as (1, *shape)."""
+    noise = np.fft.rfftn(np.random.default_rng(seed).standard_normal(shape))
+    far = [np.fft.fftfreq(side) for side in shape[:-1]] + [np.fft.rfftfreq(shape[-1])]
+    square = sum(part**2 for part in np.meshgrid(*far, indexing="ij"))
+    field = np.fft.irfftn(noise * np.exp(-square * 6.0**2 * 2 * np.pi**2), shape, (0, 1, 2))
+    return (field > np.quantile(field, 2 / 3))[None]
+
+
+def test_pictures_tell_how_fractions_vary_in_space():
+    """Windows of pictures vary more than those of the volume, since nothing is averaged across."""
+    volume = thresholded((160, 160, 160), seed=2)
+    around = losses.fractions_around(torch.from_numpy(volume)[None].float())[0].numpy()
+    flat = LocalFractions.of_pictures([volume[:, z] for z in range(0, 160, 20)])
+    assert flat.mean[0] == pytest.approx(1 / 3, abs=0.03)
+    assert flat.deviation[0] == pytest.approx(around.std(), rel=0.25)
+    windows = np.array([[average_flat(volume[0, z])] for z in range(0, 160, 20)])
+    assert windows.std() > 1.2 * flat.deviation[0]
+    drawn = flat.draw(KEY, (0, 0, 0), (40, 40, 40), ENDLESS)[0]
+    for lag in (1, 2):
+        standard = (around[0] - around.mean()) / around.std()
+        wanted = (standard[lag:] * standard[:-lag]).mean()
+        assert (drawn[lag:] * drawn[:-lag]).mean() == pytest.approx(wanted, abs=0.15)
+
+
+def average_flat(picture):
+    """Return the binomial means over 5 x 5 cells of a picture."""
+    sides = [side // 8 for side in picture.shape]
+    cells = picture.reshape(sides[0], 8, sides[1], 8).mean((1, 3))
+    line = np.array([1, 4, 6, 4, 1]) / 16
+    windows = np.lib.stride_tricks.sliding_window_view(cells, (5, 5))
+    return (windows * np.multiply.outer(line, line)).sum((-2, -1))
+
+
+def test_a_picture_of_regular_cells_still_gives_a_spread():
+    """A covariance that sums to nothing over a window would divide by nothing."""
+    rows, columns = np.indices((96, 96)) // 4
+    flat = LocalFractions.of_pictures([((rows + columns) % 2)[None]])
+    assert flat.deviation[0] >= 1e-7
+    assert np.isfinite(flat.draw(KEY, (0, 0, 0), (3, 3, 3), ENDLESS)).all()
+
+
+def test_three_phases_of_pictures_add_up():
+    labels = np.random.default_rng(3).integers(0, 3, (12, 12)).repeat(8, 0).repeat(8, 1)
+    shares = np.stack([labels == k for k in range(3)])
+    local = LocalFractions.of_pictures([shares, shares[:, ::-1]])
+    drawn = local.draw(KEY, (0, 0, 0), (6, 6, 6), ENDLESS)
+    assert len(local.mean) == 3 and local.mean.sum() == pytest.approx(1)
+    assert drawn.shape == (3, 6, 6, 6)
 
 
 def test_cells_take_the_mean_of_what_counts_in_them():

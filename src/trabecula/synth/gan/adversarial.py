@@ -189,7 +189,8 @@ class AdversarialPair:
             Whether to return `gradient_shares` as well; the step is the same.
         """
         config = self.config
-        fake = self.seen(self.generate(random, given), iteration)
+        made = self.generate(random, given)
+        fake = self.seen(made, iteration)
         noises = [
             noise * torch.randn(real.shape, generator=random, device=self.device) if noise else 0.0
             for _ in range(2)
@@ -214,7 +215,7 @@ class AdversarialPair:
             )
         if config.sliced and iteration % _SLICED_EVERY == 0:
             terms["sliced"] = self.sliced(fake, real, random)
-        terms |= self._obedience(fake, given)
+        terms |= self._obedience(made, given)
         weights = {
             "fractions": config.fractions,
             "gram": config.gram,
@@ -228,7 +229,7 @@ class AdversarialPair:
         parts = {name: term.item() for name, term in terms.items()}
         if shares:
             weights["sliced"] = config.sliced  # as a mean over iterations
-            parts |= gradient_shares(terms, weights, fake)
+            parts |= gradient_shares(terms, weights, made)
         self._step(0, generator_loss)
         self.discriminator.requires_grad_(True)
         return {"discriminator": loss.item(), **parts}

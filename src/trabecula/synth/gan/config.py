@@ -17,7 +17,7 @@ DEVICES = ("auto", "cpu", "cuda")
 PRECISIONS = ("auto", "bf16", "float32")
 REDUCTIONS = ("mean", "sum")
 STORAGES = ("float32", "float16")
-ORIENTATIONS = ("none", "inverted", "mirrors", "all")
+ORIENTATIONS = ("auto", "none", "inverted", "mirrors", "all")
 
 
 @dataclass(frozen=True)
@@ -88,8 +88,8 @@ class GanConfig:
     fractions: float = 1.0
     """Weight of the term by which the generator obeys the local fractions of the phases that it is
     given, 0 .. 1000: samples scatter as parts of the exemplar do, and a target porosity is
-    honoured. 0 gives it none. Of the sub-pixel generator, and labels of a volume of at least 64
-    voxels a side; anything else learns without."""
+    honoured. 0 gives it none. Of the sub-pixel generator, and labels of at least 64 voxels or
+    pixels a side; anything else learns without."""
 
     gram: float = 0.0
     """Weight of the gram loss, 0 .. 1000. The paper's: 0.1."""
@@ -115,13 +115,14 @@ class GanConfig:
 
     clip: float = 5.0
     """Voxels at which the signed distance that stands for labels saturates, 0 .. 50; 0 learns -1
-    and 1 (the paper's).
+    and 1 (the paper's). Of pictures always 0: a distance in their plane is none in space.
     """
 
-    orientations: str = "inverted"
+    orientations: str = "auto"
     """Copies of the exemplar that are learnt from as well: "none", "inverted" (its point
     reflection, which has the same two-point function along every direction), "mirrors" (about the
-    axes), or "all" 48; of pictures "mirrors" are 4 and "all" 8."""
+    axes), or "all" 48; of pictures "mirrors" are 4 and "all" 8. "auto" is "inverted", and "all" of
+    one picture that stands for all three planes: its rows are then like its columns."""
 
     views: tuple[str, ...] = ()
     """Planes of the volume that look like the pictures, where it learns from pictures: two or

@@ -22,7 +22,7 @@ from trabecula.synth.gan.orientations import Turn, oriented, turns_of
 from trabecula.synth.gan.slices import PictureFields, numbered_views
 from trabecula.synth.shared.content.fields import phase_fields, phases_present
 
-_LEAST = 64  # voxels a side: four cells whose surroundings are known
+_LEAST = 64  # voxels or pixels a side: four cells whose surroundings are known
 _MARGIN = 40  # voxels beyond a crop: the generator's halo of 3 cells, and 2 around each
 _TAIL = 0.001  # share of grey values beyond each end of the range that is stretched over -1 .. 1
 
@@ -115,12 +115,12 @@ class TrainingFields:
 
 def exemplar_fields(image: Image, config: GanConfig) -> TrainingFields:
     """Return the fields of an exemplar."""
+    config = effective_config(config, [image])
     values = _values_of([image], config)[0]
     found = TrainingFields(values, turns_of(config.orientations), config.crop)
-    if not effective_config(config, [image]).fractions:
+    if not config.fractions:
         return found
-    present = phases_present([image])
-    counted = present[1:] if len(present) == 2 else present
+    counted = _counted([image])
     shares = np.stack([image.values == label for label in counted]).astype(np.uint8)
     around = losses.fractions_around(torch.from_numpy(shares)[None].float())[0].numpy()
     beyond = np.pad(shares, [(0, 0), *[(_MARGIN, _MARGIN)] * 3], mode="symmetric")
@@ -128,23 +128,36 @@ def exemplar_fields(image: Image, config: GanConfig) -> TrainingFields:
 
 
 def effective_config(config: GanConfig, images: Sequence[Image]) -> GanConfig:
-    """Return the config without what its exemplars do not allow: local fractions are those of
-    labels of a volume, and of the sub-pixel generator.
+    """Return the config as its exemplars allow it: local fractions are those of labels, and of the
+    sub-pixel generator; pictures have no distances; orientations are chosen.
     """
+    if images[0].ndim == 2:
+        config = replace(config, clip=0.0)
+    if config.orientations == "auto":
+        alike = (
+            images[0].ndim == 2 and len(images) == 1 and len(views_of(images, config.views)) == 3
+        )
+        config = replace(config, orientations="all" if alike else "inverted")
     able = (
         config.generator == "subpixel"
         and images[0].kind == "labels"
-        and images[0].ndim == 3
-        and min(images[0].shape) >= _LEAST
+        and min(min(image.shape) for image in images) >= _LEAST
     )
     return config if able else replace(config, fractions=0.0)
 
 
 def picture_fields(images: Sequence[Image], config: GanConfig) -> PictureFields:
     """Return the fields of pictures in the views of the config."""
+    config = effective_config(config, images)
     different, views = numbered_views(views_of(images, config.views))
     values = _values_of([view.image for view in different], config)
-    return PictureFields(tuple(values), views, turns_of(config.orientations, axes=2), config.crop)
+    turns = turns_of(config.orientations, axes=2)
+    found = PictureFields(tuple(values), views, turns, config.crop)
+    if not config.fractions:
+        return found
+    counted = _counted(images)
+    shares = [np.stack([image.values == label for label in counted]) for image in images]
+    return replace(found, local=LocalFractions.of_pictures(shares))
 
 
 def fields_of(images: Sequence[Image], config: GanConfig) -> TrainingFields | PictureFields:
@@ -152,6 +165,12 @@ def fields_of(images: Sequence[Image], config: GanConfig) -> TrainingFields | Pi
     if images[0].ndim == 3:
         return exemplar_fields(images[0], config)
     return picture_fields(images, config)
+
+
+def _counted(images: Sequence[Image]) -> Sequence[int]:
+    """Return the labels whose fractions are told: of two the higher, of more all."""
+    present = phases_present(images)
+    return present[1:] if len(present) == 2 else present
 
 
 def _values_of(images: Sequence[Image], config: GanConfig) -> list[Tensor]:

@@ -34,7 +34,11 @@ REACH = 2
 WEIGHTS = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
 """Of the cells around a cell along an axis."""
 
+CELL = 8
+"""Voxels of a cell along an edge."""
+
 _FARTHEST = 8  # cells that the covariance reaches at most
+_LEAST_SPREAD = 0.25  # of that of the windows of a picture, which is greater than that in space
 _LEVELS = 65  # of the distribution's table
 _WHOLE = 1 << 10  # what stands for the largest weight of the filter
 _CORRECTIONS = 20  # of the filter's spectrum
@@ -71,16 +75,38 @@ class LocalFractions:
     def of(cls, shares: np.ndarray) -> LocalFractions:
         """Learn the field from the fractions around every cell of an exemplar, (K, Z, Y, X)."""
         shares = shares.astype(np.float64)
-        flat = shares.reshape(len(shares), -1)
-        mean, deviation = flat.mean(1), np.maximum(flat.std(1), 1e-6)
-        standard = (shares - mean[:, None, None, None]) / deviation[:, None, None, None]
-        places = (np.arange(_LEVELS) + 0.5) / _LEVELS
-        levels = np.quantile(standard.reshape(len(shares), -1), places, axis=1).T
-        correlation = np.corrcoef(flat) if len(flat) > 1 else np.ones((1, 1))
-        # Fractions add up to 1, so that the last one follows from the others.
-        mixing = np.linalg.cholesky(correlation + 1e-6 * np.eye(len(flat)))
-        filter_ = _filter_of(standard)
-        return cls(mean, deviation, levels, mixing, filter_, np.zeros((2, 0)))
+        standard, mean, deviation = _standardised(shares)
+        flat = standard.reshape(len(shares), -1)
+        filter_ = _filter_for(_covariance_of(standard))
+        return cls(mean, deviation, _levels_of(flat), _mixing_of(flat), filter_, np.zeros((2, 0)))
+
+    @classmethod
+    def of_pictures(cls, pictures: Sequence[np.ndarray]) -> LocalFractions:
+        """Learn what fractions around cells are in space from pictures of the phases.
+
+        Their covariance in space is that of the pictures, by distance, averaged over the cells.
+        Distribution and correlation of the phases are those of windows of the pictures.
+
+        Parameters
+        ----------
+        pictures : sequence of (K, Y, X) array
+            Shares of the phases, at least 40 pixels along every side.
+        """
+        phases, middle = range(len(pictures[0])), (_FARTHEST,) * 3
+        mean = np.array([np.concatenate([one[k].ravel() for one in pictures]).mean()
+                         for k in phases])  # fmt: skip
+        windows = np.concatenate([_windows_of(one) for one in pictures], axis=1)
+        standard, _, spread = _standardised(windows[:, None, None])
+        flat = standard.reshape(len(phases), -1)
+        covariances = [
+            _covariance_in_space(_radial_covariance([one[k] - mean[k] for one in pictures]))
+            for k in phases
+        ]
+        own = [max(covariance[middle], 0.0) ** 0.5 for covariance in covariances]
+        deviation = np.maximum(own, _LEAST_SPREAD * spread)
+        total = np.sum(covariances, axis=0)
+        filter_ = _filter_for(total if total[middle] > 0 else np.zeros_like(total))
+        return cls(mean, deviation, _levels_of(flat), _mixing_of(flat), filter_, np.zeros((2, 0)))
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON that `from_json` reads."""
@@ -176,8 +202,76 @@ def _normal_levels() -> np.ndarray:
     return np.array([NormalDist().inv_cdf((i + 0.5) / _LEVELS) for i in range(_LEVELS)])
 
 
-def _filter_of(standard: np.ndarray) -> np.ndarray:
-    """Return the filter of the mean covariance of fields (K, Z, Y, X), in whole numbers.
+def _standardised(shares: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return fractions (K, Z, Y, X) in deviations from their means, means and deviations."""
+    flat = shares.reshape(len(shares), -1)
+    mean, deviation = flat.mean(1), np.maximum(flat.std(1), 1e-6)
+    standard = (shares - mean[:, None, None, None]) / deviation[:, None, None, None]
+    return standard, mean, deviation
+
+
+def _levels_of(standard: np.ndarray) -> np.ndarray:
+    """Return the levels of fractions (K, N), in deviations."""
+    return np.asarray(np.quantile(standard, (np.arange(_LEVELS) + 0.5) / _LEVELS, axis=1).T)
+
+
+def _mixing_of(standard: np.ndarray) -> np.ndarray:
+    """Return what mixes independent fields as fractions (K, N), in deviations, are correlated."""
+    correlation = standard @ standard.T / standard.shape[1]
+    # They add up to 1, so that the last one follows from the others.
+    np.fill_diagonal(correlation, 1 + 1e-6)
+    return np.asarray(np.linalg.cholesky(correlation))
+
+
+def _windows_of(picture: np.ndarray) -> np.ndarray:
+    """Return the fractions around the cells of a picture (K, Y, X), (K, N)."""
+    phases, *sides = picture.shape
+    rows, columns = (side // CELL for side in sides)
+    cut = picture[:, : CELL * rows, : CELL * columns].astype(np.float64)
+    cells = cut.reshape(phases, rows, CELL, columns, CELL).mean((2, 4))
+    for axis in (1, 2):
+        inner = cells.shape[axis] - 2 * REACH
+        places = [range(i, i + inner) for i in range(2 * REACH + 1)]
+        parts = [w * cells.take(near, axis) for w, near in zip(WEIGHTS, places, strict=True)]
+        cells = np.add.reduce(parts)
+    return cells.reshape(phases, -1)
+
+
+def _radial_covariance(deviations: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the covariance by distance, 0 .. 64 pixels, of pictures whose mean was subtracted."""
+    longest = _FARTHEST * CELL
+    sums, pairs = np.zeros(longest + 1), np.zeros(longest + 1)
+    for one in deviations:
+        reach = tuple(min(longest, side // 2) for side in one.shape)
+        y, x = (np.arange(-far, far + 1) for far in reach)
+        far = np.rint(np.hypot(y[:, None], x)).astype(int)
+        near = far <= min(reach)
+        found = [sums_by_offset(part, reach)[near] for part in (one, np.ones(one.shape))]
+        sums += np.bincount(far[near], found[0], longest + 1)
+        pairs += np.bincount(far[near], found[1], longest + 1)
+    return sums / np.maximum(pairs, 1)
+
+
+def _covariance_in_space(radial: np.ndarray) -> np.ndarray:
+    """Return the covariance of fractions around cells by their offset, of an isotropic material."""
+    longest = len(radial) - 1
+    along = np.abs(np.arange(-longest, longest + 1))
+    far = np.sqrt(along[:, None, None] ** 2 + along[:, None] ** 2 + along**2)
+    shape = (2 * longest + 1,) * 3
+    voxels = np.interp(far, np.arange(longest + 1), radial, right=0.0) * fading_window(shape)
+    weights = np.repeat(WEIGHTS, CELL) / CELL
+    pairs = np.correlate(weights, weights, "full")
+    reach = len(pairs) // 2
+    shares = np.zeros((2 * _FARTHEST + 1, 2 * longest + 1 + 2 * reach))
+    for row, first in enumerate(range(0, CELL * len(shares), CELL)):
+        shares[row, first : first + len(pairs)] = pairs
+    shares = shares[:, reach:-reach]
+    found = np.einsum("az,by,cx,zyx->abc", shares, shares, shares, voxels, optimize=True)
+    return np.asarray(found)
+
+
+def _covariance_of(standard: np.ndarray) -> np.ndarray:
+    """Return the mean covariance of fields (K, Z, Y, X), by offset.
 
     The fields' own means were subtracted, so that the covariance is too low by their variance.
     """
@@ -189,6 +283,11 @@ def _filter_of(standard: np.ndarray) -> np.ndarray:
     covariance = np.zeros((2 * _FARTHEST + 1,) * 3)
     inner = tuple(slice(_FARTHEST - far, _FARTHEST + far + 1) for far in reach)
     covariance[inner] = (sums / np.maximum(pairs, 1) + own) * fading_window(sums.shape)
+    return covariance
+
+
+def _filter_for(covariance: np.ndarray) -> np.ndarray:
+    """Return the filter that gives white noise a covariance, in whole numbers."""
     if not covariance.max() > 0:  # the same everywhere
         covariance[(_FARTHEST,) * 3] = 1.0
     values = filter_of(covariance / covariance.max(), corrections=_CORRECTIONS).values

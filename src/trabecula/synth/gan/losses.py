@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, avg_pool3d, conv2d, conv3d, softplus
 
-from trabecula.synth.gan.local_fractions import REACH, WEIGHTS, LocalFractions
+from trabecula.synth.gan.local_fractions import CELL, REACH, WEIGHTS, LocalFractions
 from trabecula.synth.gan.networks import Score, crop_centre
 
 SLICES = 4
@@ -23,7 +23,6 @@ TABLE, CHUNK = 16, 4
 """Crops that hold the candidates of the structural loss, and how many of them at once."""
 
 _STEEP = 8.0  # of the step between two phases: a voxel beside an interface belongs to one
-_CELL = 8  # voxels
 
 EDGES = (8, 4, 2)
 """Edge and stride of the cubical regions of the structural loss, voxels of each of the first three
@@ -85,7 +84,7 @@ def fractions_around(shares: Tensor) -> Tensor:
     """Return the fractions around every cell (as in `local_fractions`) of the shares of
     voxels, (B, K, Z, Y, X).
     """
-    cells = avg_pool3d(shares, _CELL)
+    cells = avg_pool3d(shares, CELL)
     for axis in range(2, 5):
         inner = cells.shape[axis] - 2 * REACH
         cells = sum(

@@ -44,6 +44,7 @@ class Gan(Method):
 
     def learn(self, exemplars: Sequence[Image]) -> GanModel:
         need("torch", extra="learn", purpose="method 'gan'")
+        from trabecula.synth.gan.crops import effective_config
         from trabecula.synth.gan.train import train
 
         parts = train(self.config, exemplars)
@@ -51,8 +52,7 @@ class Gan(Method):
             spacing = spacing_of(views_of(exemplars, self.config.views))
             parts["spacing"] = [float(edge) for edge in spacing]
         # What it learnt without stands in the model's settings.
-        config = self.config if "fractions" in parts else replace(self.config, fractions=0.0)
-        return GanModel(config, exemplars, parts)
+        return GanModel(effective_config(self.config, exemplars), exemplars, parts)
 
     def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
         """Forecast the bytes of the process; those of a GPU are checked when it trains."""

@@ -56,6 +56,10 @@ def new_discriminator(config: GanConfig, channels: int) -> TwoScales | Score:
     return Score(config.width, channels, config.crop, whole=config.discriminator == "score")
 
 
+HALO = 3
+"""Cells of the latent that a cell of the sub-pixel generator depends on, on every side."""
+
+
 class Subpixel(nn.Module):
     """Convolutions without padding that double by sub-pixels: a voxel never knows where its tile
     ends.
@@ -69,7 +73,7 @@ class Subpixel(nn.Module):
     """
 
     cell = 8
-    halo = 3
+    halo = HALO
     tiles = 256
 
     def __init__(

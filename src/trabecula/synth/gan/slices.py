@@ -15,11 +15,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from trabecula.core.seeds import generator
+from trabecula.core.seeds import generator, key
 from trabecula.exemplar.views import View
 from trabecula.synth.gan import losses
 from trabecula.synth.gan.config import GanConfig
-from trabecula.synth.gan.networks import TwoScales
+from trabecula.synth.gan.local_fractions import CELL, LocalFractions
+from trabecula.synth.gan.networks import HALO, TwoScales
 from trabecula.synth.gan.orientations import Turn, oriented
 
 STEP = 4
@@ -40,12 +41,15 @@ class PictureFields:
         The orientations of a picture that count as alike.
     crop : int
         Edge of a crop, pixels.
+    local : LocalFractions, optional
+        Fractions around cells in space, as the pictures tell them.
     """
 
     pictures: tuple[Tensor, ...]
     views: tuple[tuple[int, int], ...]
     turns: tuple[Turn, ...]
     crop: int
+    local: LocalFractions | None = None
 
     @property
     def channels(self) -> int:
@@ -75,8 +79,18 @@ class PictureFields:
             found.append(torch.stack(parts))
         return torch.stack(found, 1)
 
-    def given(self, count: int, seed: int, iteration: int) -> None:
-        """Return None: slices do not say what the fractions in space are."""
+    def given(self, count: int, seed: int, iteration: int) -> Tensor | None:
+        """Return fractions around the cells of `count` generated crops and of the generator's halo,
+        in deviations from the mean, (count, K, z, y, x): no picture knows those of its
+        surroundings, so they are drawn. None where it is given none.
+        """
+        if self.local is None:
+            return None
+        drawn = key(seed, f"gan/given/{iteration}")
+        sides = (self.crop // CELL + 2 * HALO,) * 3
+        apart = 4 * max(sides)
+        crops = [self.local.draw(drawn, (apart * n, 0, 0), sides, (0, 0, 0)) for n in range(count)]
+        return torch.from_numpy(np.stack(crops)).to(self.device)
 
     def on(self, device: torch.device) -> PictureFields:
         """Return the same on a device."""

@@ -77,8 +77,7 @@ class _Training:
     ) -> None:
         self.config, self.images, self.fields = config, images, fields
         views = fields.views if isinstance(fields, PictureFields) else ()
-        local = fields.local if isinstance(fields, TrainingFields) else None
-        self.pair = AdversarialPair(config, fields.channels, fields.device, views, local)
+        self.pair = AdversarialPair(config, fields.channels, fields.device, views, fields.local)
         if config.structural:
             candidates = fields.crops(min(TABLE, 4 * config.batch), config.seed, 2**40)
             self.pair.table = CandidateTable(candidates, chunk=CHUNK)
