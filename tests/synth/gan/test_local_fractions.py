@@ -239,6 +239,24 @@ def test_a_target_takes_the_place_of_the_drawn_fractions():
     assert np.array_equal(box, made[20:28, 3:9])
 
 
+def test_what_learnt_from_a_picture_varies_around_its_target(monkeypatch):
+    """It has seen no place of an even fraction: what is drawn stays, but for its mean."""
+    model = obedient_model()
+    flat = tb.Image(BONE.values[0], "labels", phases=BONE.phases)
+    model.facts, model.parts["spacing"] = [exemplar_info(flat)], [1.0] * 3
+    asked = []
+    monkeypatch.setattr(
+        "trabecula.synth.gan.method.make_tiles",
+        lambda *_, given, **__: asked.append(given) or np.zeros((32, 40, 48), np.uint8),
+    )
+    porosity = 1 - (model.local.mean[0] - 0.1) / 0.2  # where the mean is asked for
+    model.generate((32, 40, 48), seed=2, target={"porosity": porosity})
+    found = asked[0]((0, 0, 0), (4, 5, 6))
+    drawn = model.local.draw(key(2, "gan/fractions"), (0, 0, 0), (4, 5, 6), ENDLESS)
+    assert found == pytest.approx(drawn - drawn.mean(), abs=1e-5)
+    assert asked[0]((-1, 0, 0), (1, 1, 1)) == pytest.approx(found[:, :1, :1, :1])
+
+
 def test_without_a_target_the_fractions_are_drawn():
     made = obedient_model().generate(128, seed=1).values
     cells = made.reshape(16, 8, 16, 8, 16, 8).mean((1, 3, 5))

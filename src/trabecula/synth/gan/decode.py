@@ -223,17 +223,26 @@ def calibrate(
 
 
 def measure_response(
-    network: Any, local: LocalFractions, calibration: Mapping[str, Any], seed: int
+    network: Any,
+    local: LocalFractions,
+    calibration: Mapping[str, Any],
+    seed: int,
+    *,
+    drawn: bool = False,
 ) -> np.ndarray:
     """Return fractions of the higher of two phases that are given everywhere, and those that come
     out, (2, N) rising; of more phases (2, 0).
+
+    With `drawn` the fractions vary as they do in unlimited material, around the one that is given:
+    what learnt from pictures has seen no place of an even fraction.
     """
     if len(local.mean) > 1:
         return np.zeros((2, 0))
     given = np.linspace(local.levels[0, 0], local.levels[0, -1], _RESPONSES)
     made = []
     for value in given:
-        field = held_out_field(network, seed, _TILES, everywhere=float(value))
+        varied = local if drawn else None
+        field = held_out_field(network, seed, _TILES, local=varied, everywhere=float(value))
         made.append(float((field[0] > calibration["offsets"][0]).mean()))
     asked = local.mean[0] + local.deviation[0] * given
     return np.stack([asked, np.maximum.accumulate(made)])
@@ -249,8 +258,8 @@ def held_out_field(
 ) -> np.ndarray:
     """Return every third voxel along every axis of tiles of noise, (K, voxels) float32.
 
-    A generator that is given local fractions gets those of unlimited material, or without `local`
-    the same everywhere, in deviations from the mean.
+    A generator that is given local fractions gets those of unlimited material, without `local` the
+    mean; in both cases `everywhere` is added, in deviations from the mean.
     """
     torch = need("torch", extra="learn", purpose="method 'gan'")
     weight = next(network.parameters())
@@ -261,12 +270,12 @@ def held_out_field(
     with torch.inference_mode():
         for tile in range(tiles):
             z = torch.randn(1, network.latent, *sides, generator=random)
-            given = torch.full((1, network.fractions, *sides), everywhere)
+            given = torch.zeros(1, network.fractions, *sides)
             if local is not None and network.fractions:
                 # Tiles lie far apart, so that they are independent.
                 corner = (64 * tile, 0, 0)
                 given = torch.from_numpy(local.draw(drawn, corner, sides, (0, 0, 0))[None])
-            z = torch.cat([z, given], 1)
+            z = torch.cat([z, given + everywhere], 1)
             z = z.to(weight.device, weight.dtype, memory_format=torch.channels_last_3d)
             field = network.cells(z)[0, :, ::_EVERY, ::_EVERY, ::_EVERY]
             found.append(field.float().flatten(1).cpu().numpy())

@@ -217,7 +217,13 @@ class Evaluator:
         calibration = calibrate(network, self.images, self.config.seed, local=pair.local)
         more: dict[str, Any] = {}
         if pair.local is not None:
-            response = measure_response(network, pair.local, calibration, self.config.seed)
+            response = measure_response(
+                network,
+                pair.local,
+                calibration,
+                self.config.seed,
+                drawn=self.images[0].ndim == 2,
+            )
             more["fractions"] = replace(pair.local, response=response).to_json()
         return {
             "generator": stored,

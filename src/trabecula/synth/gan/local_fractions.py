@@ -228,12 +228,12 @@ def _windows_of(picture: np.ndarray) -> np.ndarray:
     phases, *sides = picture.shape
     rows, columns = (side // CELL for side in sides)
     cut = picture[:, : CELL * rows, : CELL * columns].astype(np.float64)
-    cells = cut.reshape(phases, rows, CELL, columns, CELL).mean((2, 4))
+    cells: np.ndarray = cut.reshape(phases, rows, CELL, columns, CELL).mean((2, 4))
     for axis in (1, 2):
         inner = cells.shape[axis] - 2 * REACH
         places = [range(i, i + inner) for i in range(2 * REACH + 1)]
         parts = [w * cells.take(near, axis) for w, near in zip(WEIGHTS, places, strict=True)]
-        cells = np.add.reduce(parts)
+        cells = np.asarray(sum(parts))
     return cells.reshape(phases, -1)
 
 
@@ -265,8 +265,8 @@ def _covariance_in_space(radial: np.ndarray) -> np.ndarray:
     shares = np.zeros((2 * _FARTHEST + 1, 2 * longest + 1 + 2 * reach))
     for row, first in enumerate(range(0, CELL * len(shares), CELL)):
         shares[row, first : first + len(pairs)] = pairs
-    shares = shares[:, reach:-reach]
-    found = np.einsum("az,by,cx,zyx->abc", shares, shares, shares, voxels, optimize=True)
+    inner = shares[:, reach:-reach]
+    found = np.einsum("az,by,cx,zyx->abc", inner, inner, inner, voxels, optimize=True)
     return np.asarray(found)
 
 

@@ -255,12 +255,16 @@ class GanModel(WindowModel):
         if self.local is None:
             return None
         porosity = porosity_of(request.target)
+        draw = partial(self.local.draw, key(request.seed, "gan/fractions"), periods=periods)
         if porosity is None:
-            drawn = key(request.seed, "gan/fractions")
-            return partial(self.local.draw, drawn, periods=periods)
+            return draw
         field_in(porosity, box)  # which refuses a box that leaves the field
         if self._wanted is None or self._wanted[0] is not request:
-            self._wanted = request, self._cells_of(porosity, request)
+            cells = self._cells_of(porosity, request)
+            if self.facts[0].ndim == 2:  # it has seen no place of an even fraction
+                varied = draw((0, 0, 0), cells.shape)[0]
+                cells = cells + (varied - varied.mean())
+            self._wanted = request, cells
         wanted = self._wanted[1]
 
         def given(corner: tuple[int, ...], sides: tuple[int, ...]) -> np.ndarray:
