@@ -115,6 +115,7 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_sizes": texture_speed.sizes,
     "gan_models": gan.models,
     "gan_populations": gan.populations,
+    "gan_pictures": gan.from_pictures,
     "gan_shipped": gan.shipped,
     "gan_speed": gan.speed,
     "gan_ablation": gan_ablation.ablation,
