@@ -255,6 +255,9 @@ def test_what_learnt_from_a_picture_varies_around_its_target(monkeypatch):
     drawn = model.local.draw(key(2, "gan/fractions"), (0, 0, 0), (4, 5, 6), ENDLESS)
     assert found == pytest.approx(drawn - drawn.mean(), abs=1e-5)
     assert asked[0]((-1, 0, 0), (1, 1, 1)) == pytest.approx(found[:, :1, :1, :1])
+    model.local.response[:] = [[0.1, 0.3], [0.15, 0.3]]
+    with pytest.raises(RequestError, match="learn from a picture that has such places"):
+        model.generate(24, target={"porosity": 0.9})
 
 
 def test_without_a_target_the_fractions_are_drawn():

@@ -342,9 +342,14 @@ class GanModel(WindowModel):
         least, most = float(asked.min()), float(asked.max())
         if least < low - _SLACK or most > high + _SLACK:
             wanted = f"{least:.3g}" if least == most else f"{least:.3g} .. {most:.3g}"
+            more = (
+                "learn from a picture that has such places, or for longer"
+                if self.facts[0].ndim == 2
+                else "use method 'texture'"
+            )
             raise RequestError(
                 f"the target porosity {wanted} is outside of {low:.3g} .. {high:.3g}, which this "
-                "model makes: keep within it, or use method 'texture'"
+                f"model makes: keep within it, or {more}"
             )
 
     def report_run(self) -> Mapping[str, Any]:
