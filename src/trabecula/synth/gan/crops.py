@@ -168,7 +168,7 @@ def fields_of(images: Sequence[Image], config: GanConfig) -> TrainingFields | Pi
 
 
 def _counted(images: Sequence[Image]) -> Sequence[int]:
-    """Return the labels whose fractions are told: of two the higher, of more all."""
+    """Return the labels whose fractions are given: of two the higher, of more all."""
     present = phases_present(images)
     return present[1:] if len(present) == 2 else present
 

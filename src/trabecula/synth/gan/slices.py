@@ -42,7 +42,7 @@ class PictureFields:
     crop : int
         Edge of a crop, pixels.
     local : LocalFractions, optional
-        Fractions around cells in space, as the pictures tell them.
+        Fractions around cells in space, as the pictures have them.
     """
 
     pictures: tuple[Tensor, ...]
