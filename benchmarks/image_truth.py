@@ -54,7 +54,7 @@ class Truth:
 
     def errors(self, found: Mapping[str, np.ndarray]) -> list[float]:
         """Radial, the worst axis, the diagonals: relative l2 of the covariance."""
-        off = {name: _relative(curve, self.curves[name]) for name, curve in found.items()}
+        off = {name: relative(curve, self.curves[name]) for name, curve in found.items()}
         return [off["radial"], max(off[axis] for axis in "zyx"), off["diagonal"]]
 
 
@@ -159,7 +159,7 @@ def _tell_floor(name: str, truth: Truth, picture: tb.Image) -> None:
         tb.Image(np.ascontiguousarray(values[place]), "labels", phases=phases) for place in places
     ]
     lines = [covariance_form(two_point(each, r_max=REACH)) for each in (picture, *slices)]
-    own, *others = (_relative(line, truth.curves["radial"]) for line in lines)
+    own, *others = (relative(line, truth.curves["radial"]) for line in lines)
     floor = np.mean(others)
     print(
         f"{name}: S2 radial of real slices {floor:.3f} (1.5 times: {1.5 * floor:.3f}), "
@@ -188,5 +188,5 @@ def _row(row, words: str, truth: Truth, volume: tb.Image, seconds: str) -> None:
     row(words, *errors, f"{axis_preference(volume, r_max=REACH):.3f}", *told, seconds)
 
 
-def _relative(curve: np.ndarray, reference: np.ndarray) -> float:
+def relative(curve: np.ndarray, reference: np.ndarray) -> float:
     return float(np.linalg.norm(curve - reference) / np.linalg.norm(reference))

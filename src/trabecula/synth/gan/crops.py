@@ -17,13 +17,14 @@ from trabecula.core.seeds import generator
 from trabecula.exemplar.views import views_of
 from trabecula.synth.gan import losses
 from trabecula.synth.gan.config import GanConfig
-from trabecula.synth.gan.local_fractions import LocalFractions
+from trabecula.synth.gan.local_fractions import CELL, REACH, LocalFractions
+from trabecula.synth.gan.networks import HALO
 from trabecula.synth.gan.orientations import Turn, oriented, turns_of
 from trabecula.synth.gan.slices import PictureFields, numbered_views
 from trabecula.synth.shared.content.fields import phase_fields, phases_present
 
 _LEAST = 64  # voxels or pixels a side: four cells whose surroundings are known
-_MARGIN = 40  # voxels beyond a crop: the generator's halo of 3 cells, and 2 around each
+_MARGIN = CELL * (HALO + REACH)  # voxels beyond a crop: the generator's halo, and around it
 _TAIL = 0.001  # share of grey values beyond each end of the range that is stretched over -1 .. 1
 
 

@@ -227,8 +227,8 @@ def _windows_of(picture: np.ndarray) -> np.ndarray:
     """Return the fractions around the cells of a picture (K, Y, X), (K, N)."""
     phases, *sides = picture.shape
     rows, columns = (side // CELL for side in sides)
-    cut = picture[:, : CELL * rows, : CELL * columns].astype(np.float64)
-    cells: np.ndarray = cut.reshape(phases, rows, CELL, columns, CELL).mean((2, 4))
+    cut = picture[:, None, : CELL * rows, : CELL * columns]
+    cells = np.concatenate([cell_means(share, CELL) for share in cut])
     for axis in (1, 2):
         inner = cells.shape[axis] - 2 * REACH
         places = [range(i, i + inner) for i in range(2 * REACH + 1)]

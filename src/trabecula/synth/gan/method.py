@@ -149,6 +149,10 @@ class GanModel(WindowModel):
         return count if count > 2 else 1
 
     @property
+    def _from_pictures(self) -> bool:
+        return self.facts[0].ndim == 2
+
+    @property
     def specks(self) -> int:
         """Return the edge of the components that are removed: grey has none."""
         return self.config.specks if self.calibration["kind"] == "labels" else 0
@@ -261,7 +265,7 @@ class GanModel(WindowModel):
         field_in(porosity, box)  # which refuses a box that leaves the field
         if self._wanted is None or self._wanted[0] is not request:
             cells = self._cells_of(porosity, request)
-            if self.facts[0].ndim == 2:  # it has seen no place of an even fraction
+            if self._from_pictures:  # it has seen no place of an even fraction
                 varied = draw((0, 0, 0), cells.shape)[0]
                 cells = cells + (varied - varied.mean())
             self._wanted = request, cells
@@ -344,7 +348,7 @@ class GanModel(WindowModel):
             wanted = f"{least:.3g}" if least == most else f"{least:.3g} .. {most:.3g}"
             more = (
                 "learn from a picture that has such places, or for longer"
-                if self.facts[0].ndim == 2
+                if self._from_pictures
                 else "use method 'texture'"
             )
             raise RequestError(

@@ -20,6 +20,7 @@ from torch.nn.functional import avg_pool2d, avg_pool3d, leaky_relu
 
 from trabecula.synth.gan.config import GanConfig
 from trabecula.synth.gan.folded import Doubling, Halving
+from trabecula.synth.gan.local_fractions import CELL
 from trabecula.synth.gan.rearranged import depth_to_space, space_to_depth
 
 _SLOPE = 0.2
@@ -72,7 +73,7 @@ class Subpixel(nn.Module):
         How often the output is blurred, and how often more when material is made.
     """
 
-    cell = 8
+    cell = CELL
     halo = HALO
     tiles = 256
 
