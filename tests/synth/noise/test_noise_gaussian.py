@@ -21,10 +21,10 @@ from trabecula.synth.noise.covariance import (
     counts_by_offset,
     fit_filter,
     joint_probability,
-    radial_mean,
 )
 from trabecula.synth.noise.fields import Phases
 from trabecula.synth.shared.gaussian.field import integer_filter, white_plane
+from trabecula.synth.shared.gaussian.filters import radial_mean
 
 
 def exponential(shape, *, scale, seed, fraction=0.5, cover=40):

@@ -26,7 +26,7 @@ from trabecula.engine.compile import kernel
 from trabecula.engine.gaussian_random import ONE, normal_cells, quantiles
 from trabecula.measure.mean_variance import variance_of_means
 from trabecula.numerics.transforms import sums_by_offset
-from trabecula.synth.shared.gaussian.filters import fading_window, filter_of
+from trabecula.synth.shared.gaussian.filters import fading_window, filter_of, radial_mean
 
 REACH = 2
 """Cells on each side that count as around a cell."""
@@ -98,10 +98,7 @@ class LocalFractions:
         windows = np.concatenate([_windows_of(one) for one in pictures], axis=1)
         standard, _, spread = _standardised(windows[:, None, None])
         flat = standard.reshape(len(phases), -1)
-        covariances = [
-            _covariance_in_space(_radial_covariance([one[k] - mean[k] for one in pictures]))
-            for k in phases
-        ]
+        covariances = [_covariance_in_space([one[k] - mean[k] for one in pictures]) for k in phases]
         own = [max(covariance[middle], 0.0) ** 0.5 for covariance in covariances]
         deviation = np.maximum(own, _LEAST_SPREAD * spread)
         total = np.sum(covariances, axis=0)
@@ -237,35 +234,22 @@ def _windows_of(picture: np.ndarray) -> np.ndarray:
     return cells.reshape(phases, -1)
 
 
-def _radial_covariance(deviations: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the covariance by distance, 0 .. 64 pixels, of pictures whose mean was subtracted."""
+def _covariance_in_space(deviations: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the covariance of fractions around cells by their offset, of an isotropic material
+    that pictures (Y, X), whose mean was subtracted, show.
+    """
     longest = _FARTHEST * CELL
-    sums, pairs = np.zeros(longest + 1), np.zeros(longest + 1)
-    for one in deviations:
-        reach = tuple(min(longest, side // 2) for side in one.shape)
-        y, x = (np.arange(-far, far + 1) for far in reach)
-        far = np.rint(np.hypot(y[:, None], x)).astype(int)
-        near = far <= min(reach)
-        found = [sums_by_offset(part, reach)[near] for part in (one, np.ones(one.shape))]
-        sums += np.bincount(far[near], found[0], longest + 1)
-        pairs += np.bincount(far[near], found[1], longest + 1)
-    return sums / np.maximum(pairs, 1)
-
-
-def _covariance_in_space(radial: np.ndarray) -> np.ndarray:
-    """Return the covariance of fractions around cells by their offset, of an isotropic material."""
-    longest = len(radial) - 1
-    along = np.abs(np.arange(-longest, longest + 1))
-    far = np.sqrt(along[:, None, None] ** 2 + along[:, None] ** 2 + along**2)
+    reach = (0, *(min(longest, *(min(one.shape) // 2 for one in deviations)),) * 2)
+    sums = sum(sums_by_offset(one[None], reach) for one in deviations)
+    pairs = sum(sums_by_offset(np.ones((1, *one.shape)), reach) for one in deviations)
     shape = (2 * longest + 1,) * 3
-    voxels = np.interp(far, np.arange(longest + 1), radial, right=0.0) * fading_window(shape)
+    voxels = radial_mean(np.asarray(sums), np.asarray(pairs), (longest,) * 3) * fading_window(shape)
     weights = np.repeat(WEIGHTS, CELL) / CELL
-    pairs = np.correlate(weights, weights, "full")
-    reach = len(pairs) // 2
-    shares = np.zeros((2 * _FARTHEST + 1, 2 * longest + 1 + 2 * reach))
+    both = np.correlate(weights, weights, "full")
+    shares = np.zeros((2 * _FARTHEST + 1, 2 * longest + len(both)))
     for row, first in enumerate(range(0, CELL * len(shares), CELL)):
-        shares[row, first : first + len(pairs)] = pairs
-    inner = shares[:, reach:-reach]
+        shares[row, first : first + len(both)] = both
+    inner = shares[:, len(both) // 2 : -(len(both) // 2)]
     found = np.einsum("az,by,cx,zyx->abc", inner, inner, inner, voxels, optimize=True)
     return np.asarray(found)
 

@@ -24,6 +24,7 @@ from trabecula.synth.shared.gaussian.filters import (
     absolute_offsets,
     fading_window,
     filter_of,
+    radial_mean,
 )
 
 _ANGLES = 1 << 13
@@ -49,24 +50,6 @@ def counts_by_offset(inside: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
     The counts come from a Fourier transform.
     """
     return np.rint(sums_by_offset(inside, reach))
-
-
-def radial_mean(hits: np.ndarray, pairs: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
-    """Return S2 averaged over directions, at every offset -reach .. reach.
-
-    Offsets are gathered by their rounded length, and S2 is linear between the mean lengths of
-    neighbours. Beyond the longest known offset it keeps its last value.
-    """
-    length = np.sqrt(sum(part.astype(np.float64) ** 2 for part in absolute_offsets(hits.shape)))
-    bins, weight = np.rint(length).astype(np.int64).ravel(), pairs.ravel()
-    count = np.bincount(bins, weight)
-    known = count > 0
-    mean = np.bincount(bins, hits.ravel())[known] / count[known]
-    place = np.bincount(bins, weight * length.ravel())[known] / count[known]
-    wide = tuple(2 * far + 1 for far in reach)
-    return np.interp(
-        np.sqrt(sum(part.astype(np.float64) ** 2 for part in absolute_offsets(wide))), place, mean
-    )
 
 
 def fit_filter(

@@ -61,6 +61,24 @@ def absolute_offsets(shape: tuple[int, ...]) -> list[np.ndarray]:
     ]
 
 
+def radial_mean(hits: np.ndarray, pairs: np.ndarray, reach: tuple[int, ...]) -> np.ndarray:
+    """Return a mean over pairs averaged over directions, at every offset -reach .. reach.
+
+    Offsets are gathered by their rounded length, and the mean is linear between the mean lengths
+    of neighbours. Beyond the longest known offset it keeps its last value.
+    """
+    length = np.sqrt(sum(part.astype(np.float64) ** 2 for part in absolute_offsets(hits.shape)))
+    bins, weight = np.rint(length).astype(np.int64).ravel(), pairs.ravel()
+    count = np.bincount(bins, weight)
+    known = count > 0
+    mean = np.bincount(bins, hits.ravel())[known] / count[known]
+    place = np.bincount(bins, weight * length.ravel())[known] / count[known]
+    wide = tuple(2 * far + 1 for far in reach)
+    return np.interp(
+        np.sqrt(sum(part.astype(np.float64) ** 2 for part in absolute_offsets(wide))), place, mean
+    )
+
+
 def fading_window(shape: tuple[int, ...]) -> np.ndarray:
     """Return a window of 1 in the inner half of every axis, falling to 0 at the end as a cosine."""
     window = np.ones(shape)
