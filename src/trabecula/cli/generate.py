@@ -171,7 +171,9 @@ def prepare(options: argparse.Namespace) -> GenerateTask:
         check_fits(chosen, exemplars)
     voxel = _voxel(options) if chosen and exemplars is None else {}
     known = exemplars or ([without_exemplar(**voxel)] if model is None else list(model.facts))
-    parts = shared.load_parts(options, known, shape, getattr((chosen or model).config, "views", ()))
+    settings = (chosen or model).config
+    seen = known[:1] if getattr(settings, "gap", 0) else known
+    parts = shared.load_parts(options, seen, shape, getattr(settings, "views", ()))
     refined = parts.pop("shape", None)
     asked = _take_properties(parts["target"])
     if shape is None:

@@ -1,5 +1,5 @@
-"""`trabecula verify EXEMPLAR FILE ... [--pictures FILE ... --views PLANE ... | --ensemble [--parts
-FILE ...]] [--quick | --full] [--json] [--report HTML]`.
+"""`trabecula verify EXEMPLAR FILE ... [--pictures FILE ... [--views PLANE ... | --gap N] |
+--ensemble [--parts FILE ...]] [--quick | --full] [--json] [--report HTML]`.
 """
 
 from __future__ import annotations
@@ -49,6 +49,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="plane of each picture, EXEMPLAR's first: yx (seen across z), zx, zy, xy, xz, yz; or "
         "of one picture all of them",
     )
+    group.add_argument(
+        "--gap",
+        type=int,
+        default=0,
+        metavar="N",
+        help="the pictures are parallel sections, N pixels from one to the next, which decide on "
+        "the Euler number",
+    )
     group = parser.add_argument_group("ensembles")
     group.add_argument(
         "--ensemble",
@@ -84,7 +92,8 @@ def run(options: argparse.Namespace) -> int:
     sources = [options.exemplar, *options.pictures]
     exemplars = [shared.load_exemplar(source, options) for source in sources]
     views = [plane for word in options.views for plane in word.split(",")]
-    images = [_result(file, exemplars, views, options) for file in options.files]
+    shown = exemplars[:1] if options.gap else exemplars
+    images = [_result(file, shown, views, options) for file in options.files]
     names = [Path(file).name for file in options.files]
     wanted = {
         "r_max": options.r_max,
@@ -92,6 +101,7 @@ def run(options: argparse.Namespace) -> int:
         "level": options.level,
         "box": options.box,
         "views": views,
+        "gap": options.gap,
     }
     wanted["memory"] = options.memory
     found = verify(exemplars if len(exemplars) > 1 else exemplars[0], *images, **wanted)
@@ -116,10 +126,10 @@ def _judge_ensemble(options: argparse.Namespace) -> int:
     from trabecula.pipeline.inputs import load_like
     from trabecula.report.ensemble import verify_ensemble
 
-    if options.pictures or options.views:
+    if options.pictures or options.views or options.gap:
         raise InputError(
-            "--ensemble compares volumes with parts of volumes: leave out --pictures and --views; "
-            "further scans follow --parts"
+            "--ensemble compares volumes with parts of volumes: leave out --pictures, --views and "
+            "--gap; further scans follow --parts"
         )
     sources = [options.exemplar, *options.parts]
     exemplars = [shared.load_exemplar(source, options) for source in sources]

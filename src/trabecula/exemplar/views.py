@@ -19,6 +19,7 @@ from trabecula.core.image import Image
 from trabecula.core.progress import notify
 from trabecula.measure.correlation import covariance_form, two_point
 from trabecula.measure.describe import autocorrelation_lines
+from trabecula.measure.disector import check_sections
 from trabecula.measure.grey import autocorrelation, grey_values
 
 PLANES = ("yx", "zx", "zy")
@@ -67,7 +68,9 @@ class View:
         return "".join(_AXES[axis] for axis in self.across)
 
 
-def views_of(exemplars: Sequence[Image], named: Sequence[str] = ()) -> tuple[View, ...]:
+def views_of(
+    exemplars: Sequence[Image], named: Sequence[str] = (), *, gap: int = 0
+) -> tuple[View, ...]:
     """Return the views of one picture or several.
 
     Parameters
@@ -78,12 +81,15 @@ def views_of(exemplars: Sequence[Image], named: Sequence[str] = ()) -> tuple[Vie
         of several there is one for each. Where none is named: one exemplar is seen in all three
         planes; of two the first in "yx" and "zx", the second in "zy" (a material that is alike
         around x); three are seen in "yx", "zx" and "zy".
+    gap : int
+        Pixels from one to the next of parallel sections of a material that is alike from all sides;
+        the first is then seen in all three planes. 0: they are no sections.
 
     Raises
     ------
     InputError
         A number of pictures or planes that does not fit; pictures that contradict each other
-        (`check_views`).
+        (`check_views`); sections that do not fit each other, or with named planes.
     UnknownNameError
         No such plane.
 
@@ -97,6 +103,13 @@ def views_of(exemplars: Sequence[Image], named: Sequence[str] = ()) -> tuple[Vie
     """
     images = list(exemplars)
     named = as_planes(named)
+    if gap:
+        check_sections(images, gap)
+        if named:
+            raise InputError(
+                "parallel sections stand for all planes: leave out either the gap or the views"
+            )
+        images = images[:1]
     if not named:
         return _validate(_by_count(images))
     if len(images) not in (1, len(named)):

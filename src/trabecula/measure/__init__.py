@@ -38,6 +38,7 @@ from trabecula.measure.correlation import (
     two_point_cluster,
 )
 from trabecula.measure.describe import describe, describe_texture
+from trabecula.measure.disector import disector_along, disector_euler_density
 from trabecula.measure.displacement import Displacement
 from trabecula.measure.distance import distance_transform, signed_distance
 from trabecula.measure.drainage import drainage, entry_radius
@@ -132,6 +133,8 @@ __all__ = [
     "describe_slabs",
     "describe_texture",
     "diffusivity",
+    "disector_along",
+    "disector_euler_density",
     "distance_transform",
     "diversity",
     "drainage",

@@ -465,6 +465,12 @@ _TABLE = (
         each=("phase",), key=True, in_volume=True,
         meaning="Euler number per volume, free of what the faces cut.",
     ),
+    Descriptor(
+        name="disector_euler_density", title="Euler number per volume, by sections",
+        group="shape", source=JUDGED, power=-3, of="the solid",
+        meaning="Of a volume held against parallel sections: Euler number per volume from pairs of "
+        "sections, `gap` apart, and from pairs of the volume's slices along all axes.",
+    ),
     _connectivity(
         name="euler", title="Euler number of the image as cut", measure=euler, source=PLANES,
         rule=REPORTED, streams=True, in_slices=False, in_volume=True,

@@ -1,5 +1,5 @@
 """A run before it starts: into which blocks it divides its volume, and what memory, disk and time
-it takes. For the time, boxes of it are made for about a second.
+it takes. For the time, boxes of it are made for about a second, or small volumes for some seconds.
 """
 
 from __future__ import annotations
@@ -40,6 +40,9 @@ _EDGES = (24, 36, 48, 72, 96, 144, 192, 288)
 _SECONDS = 1.0
 """After the second box the next is made where it is expected to take no longer than this."""
 
+_WHOLE_SECONDS = 3.0
+"""The same of volumes: small ones cost mostly what large ones do not."""
+
 _WRITTEN = 30e-9
 """Seconds a voxel for packing, writing, coarser levels and digest, as measured of labels on a plain
 processor.
@@ -72,7 +75,8 @@ def plan_to(
     model, request, path, memory, chunks :
         As of `generate_to`; an empty path where the format is open.
     trial : bool
-        Forecast the seconds as well, from volumes or boxes that are made for about a second.
+        Forecast the seconds as well, from boxes that are made for about a second, or volumes for
+        some seconds.
 
     Raises
     ------
@@ -278,8 +282,8 @@ def seconds_of_whole(
     Notes
     -----
     Volumes of edge 24, 36, 48, 72, ... are timed, two at least, as long as the next one can be
-    expected to take a second; what a further voxel costs follows from the last two. Coarse levels
-    that only large volumes have add little.
+    expected to take three seconds; what a further voxel costs follows from the last two. Coarse
+    levels that only large volumes have add little.
     """
     make(_cube(shape, _EDGES[0]))  # kernels are loaded, tables are made
     timed: list[tuple[int, float]] = []
@@ -288,7 +292,7 @@ def seconds_of_whole(
         start = clock()
         make(sides)
         timed.append((prod(sides), max(clock() - start, 1e-6)))
-        if sides == tuple(shape) or (len(timed) > 1 and 3 * timed[-1][1] > _SECONDS):
+        if sides == tuple(shape) or (len(timed) > 1 and 3 * timed[-1][1] > _WHOLE_SECONDS):
             break
     (voxels, seconds), more = timed[-1], timed[-1][1] / timed[-1][0]
     if len(timed) > 1 and voxels > timed[-2][0]:

@@ -56,6 +56,7 @@ def verify(
     level: str = ...,
     box: int | None = ...,
     views: Sequence[str] = ...,
+    gap: int = ...,
     memory: int | None = ...,
 ) -> Certificate: ...
 
@@ -70,6 +71,7 @@ def verify(
     level: str = ...,
     box: int | None = ...,
     views: Sequence[str] = ...,
+    gap: int = ...,
     memory: int | None = ...,
 ) -> list[Certificate]: ...
 
@@ -83,6 +85,7 @@ def verify(
     level: str = "default",
     box: int | None = None,
     views: Sequence[str] = (),
+    gap: int = 0,
     memory: int | None = None,
 ) -> Certificate | list[Certificate]:
     """Judge whether images are of the same material as the exemplar.
@@ -107,6 +110,10 @@ def verify(
     views : sequence of str
         Of pictures: the planes of a volume that each is, "yx" (seen across z), "zx", "zy", or
         turned "xy", "xz", "yz", as in the methods that learn from pictures.
+    gap : int
+        Of pictures of labels: voxels from one to the next of parallel sections, of a material that
+        is alike from all sides. The first stands for all planes; together they say the Euler number
+        (`measure.disector_euler_density`). 0: they are pictures of different planes.
     memory : int, optional
         Bytes that the measures of `Slabs` may use. Default: what is available.
 
@@ -186,6 +193,7 @@ def verify(
     if (
         len(exemplars) > 1
         or views
+        or gap
         or (exemplar.ndim == 2 and any(image.ndim == 3 for image in others))
     ):
         for image, name in zip(others, names, strict=True):
@@ -196,7 +204,7 @@ def verify(
                 "of it"
             )
         found = judge_volumes(
-            exemplars, others, names, views=views, r_max=r_max, level=level, box=box
+            exemplars, others, names, views=views, gap=gap, r_max=r_max, level=level, box=box
         )
         return found[0] if len(found) == 1 else found
     for image, name in zip(others, names, strict=True):

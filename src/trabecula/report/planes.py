@@ -43,15 +43,19 @@ class SlicePlane:
     """Of the names of its figures; empty where it is the only picture."""
 
 
-def slice_planes(pictures: Sequence[Image], views: Sequence[str] = ()) -> list[SlicePlane]:
-    """Return every picture with its planes; `views` as of a method that learns from pictures.
+def slice_planes(
+    pictures: Sequence[Image], views: Sequence[str] = (), *, gap: int = 0
+) -> list[SlicePlane]:
+    """Return every picture with its planes; `views` and `gap` as of a method that learns from
+    pictures. Of parallel sections the first stands for all planes.
 
     Raises
     ------
     InputError
         Pictures and planes that do not fit each other (see `views_of`).
     """
-    found = find_views(pictures, views)
+    found = find_views(pictures, views, gap=gap)
+    pictures = pictures[:1] if gap else pictures
     numbers = [0] * len(views) if len(pictures) == 1 else list(range(len(views)))
     # A view's own picture is turned already; here slices are turned as the picture lies.
     named = [(view.plane, view.picture) for view in found]
@@ -64,11 +68,11 @@ def slice_planes(pictures: Sequence[Image], views: Sequence[str] = ()) -> list[S
     return faces
 
 
-def find_views(pictures: Sequence[Image], views: Sequence[str]) -> Sequence[View]:
+def find_views(pictures: Sequence[Image], views: Sequence[str], *, gap: int = 0) -> Sequence[View]:
     """Return the views of pictures, without a word on other views that may suit them better."""
     # that other views may suit a picture better is for methods to say
     with listen(lambda label, fraction: None):
-        return views_of(pictures, views)
+        return views_of(pictures, views, gap=gap)
 
 
 def take_slices(volume: Image, plane: str, count: int = SLICES) -> list[Image]:

@@ -40,6 +40,8 @@ from trabecula.report.planes import (
     take_slices,
 )
 from trabecula.report.reference import Reference, try_coherence
+from trabecula.report.sections import NAME as SECTIONS
+from trabecula.report.sections import judge_sections
 from trabecula.report.stereology import (
     Joined,
     beyond,
@@ -58,6 +60,7 @@ def judge_volumes(
     names: Sequence[str],
     *,
     views: Sequence[str],
+    gap: int,
     r_max: int,
     level: str,
     box: int | None,
@@ -67,10 +70,12 @@ def judge_volumes(
     Raises
     ------
     InputError
-        Images that are not volumes of the pictures' voxels, or pictures and views that do not fit
+        Images that are not volumes of the pictures' voxels; pictures, views and gap that do not fit
         each other.
     """
-    planes = slice_planes(pictures, views)
+    sections = pictures if gap else ()
+    planes = slice_planes(pictures, views, gap=gap)
+    pictures = [plane.picture for plane in planes]
     for image, name in zip(images, names, strict=True):
         check_volume(image, pictures, views, name)
     smallest = min(
@@ -87,6 +92,8 @@ def judge_volumes(
             metrics |= judge.judge(image)
         whole, details = _measure_volume(image, level, box)
         metrics |= whole
+        if sections:
+            metrics |= judge_sections(sections, gap, image)
         joined: dict[str, Joined] = {}
         for judge in judges if whole else []:
             for ending, phase in judge.joined().items():
@@ -99,6 +106,8 @@ def judge_volumes(
         ordered = {name: metrics[name] for name in in_order(metrics)}
         own_notes = (note for judge in judges for note in judge.notes())
         notes = (*own_notes, *_volume_notes(ordered, joined, details))
+        if SECTIONS in ordered:
+            notes = (*notes, _sections_note(len(sections), gap))
         baseline = {key: m for judge in judges for key, m in judge.baseline.items()} or None
         reasons = [picture_reason()] if joined else []
         reasons += [reason for judge in judges for reason in judge.reasons(level)]
@@ -112,7 +121,7 @@ def judge_volumes(
                 baseline,
                 tuple(reasons),
                 judges[0].maps(image),
-                tuple(beyond(joined, ordered)) if joined else (),
+                tuple(beyond(joined, ordered, sections=SECTIONS in ordered)) if joined else (),
             )
         )
     return found
@@ -252,6 +261,14 @@ def _measure_volume(
         if DESCRIPTORS[stem(name)].in_volume
     }
     return {name: Metric(value) for name, value in found.items()} | void_figures(image), details
+
+
+def _sections_note(count: int, gap: int) -> str:
+    return (
+        f"The Euler number is judged by {count} sections that are {gap} voxels from one to the "
+        "next, slices by the first of them. The volume is measured from slices as far apart: both "
+        "miss what is thinner."
+    )
 
 
 def _volume_notes(

@@ -227,8 +227,12 @@ def _range(values: Sequence[float]) -> float:
     return (max(values) - min(values)) / mean if mean > 0 else 0.0
 
 
-def beyond(joined: Mapping[str, Joined], metrics: Mapping[str, Metric]) -> Iterator[str]:
-    """Yield what pictures do not decide about a volume, with the volume's own figures."""
+def beyond(
+    joined: Mapping[str, Joined], metrics: Mapping[str, Metric], *, sections: bool = False
+) -> Iterator[str]:
+    """Yield what pictures do not decide about a volume, with the volume's own figures; whether
+    parallel sections decide on the Euler number.
+    """
     for ending, phase in joined.items():
         share = metrics[f"largest_fraction_{VOLUME}{ending}"].value
         if phase.implied or share is None:
@@ -243,9 +247,10 @@ def beyond(joined: Mapping[str, Joined], metrics: Mapping[str, Metric]) -> Itera
             f"joined above or below (here {'it is one component' if count == 1 else here}; it "
             f"percolates along {through})"
         )
+    euler = "" if sections else "the Euler number, "
     yield (
-        "figures that only a volume has: the number of components, the Euler number, sizes of "
-        "largest spheres, transport and stiffness; they are reported as in 3-D and not judged"
+        f"figures that only a volume has: the number of components, {euler}sizes of largest "
+        "spheres, transport and stiffness; they are reported as in 3-D and not judged"
     )
 
 

@@ -51,6 +51,61 @@ def test_slices_lie_across_their_axis_and_move_on(axis):
         assert rows[:, 0].tolist() == columns[0].tolist() == list(range(c))
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_pairs_of_slices_lie_a_gap_apart(axis):
+    c, gap = 12, 3
+    place = torch.stack(torch.meshgrid(*(torch.arange(c),) * 3, indexing="ij"))[None]  # K = 3
+    for iteration in (0, 2, STEP + 1):
+        first = list(range(iteration % STEP, c - gap, STEP))
+        pairs = take_slices(place, [axis], iteration, gap=gap)
+        assert pairs.shape == (len(first), 1, 6, c, c)
+        assert pairs[:, 0, axis, 0, 0].tolist() == first
+        assert pairs[:, 0, 3 + axis, 0, 0].tolist() == [at + gap for at in first]
+        others = [a for a in range(3) if a != axis]
+        assert torch.equal(pairs[:, 0, others], pairs[:, 0, [3 + other for other in others]])
+
+
+def test_crops_of_sections_are_pairs_of_neighbours_in_either_order():
+    rows = torch.arange(44.0)[:, None].expand(44, 48)
+    pictures = tuple((rows + 100 * n)[None] for n in range(3))
+    views = ((0, 0), (1, 0), (2, 0))
+    fields = PictureFields(pictures, views, turns_of("all", axes=2), 40, gap=5)
+    found = set()
+    for iteration in range(20):
+        crops = fields.crops(2, 0, iteration)
+        assert crops.shape == (2 * len(range(iteration % STEP, 35, STEP)), 3, 2, 40, 40)
+        apart = (crops[:, :, 1] - crops[:, :, 0]).flatten(2)
+        assert torch.equal(apart[..., :1].expand_as(apart), apart), "one place, one orientation"
+        found |= set(apart.unique().tolist())
+        assert fields.crops(2, 0, iteration).equal(crops)
+    assert found == {-100.0, 100.0}
+
+
+def test_sections_are_alike_from_all_sides_and_their_pairs_are_judged():
+    sections = [picture(seed) for seed in range(3)]
+    config = effective_config(GanConfig(**TINY, iterations=1, gap=4), sections)
+    assert config.orientations == "all"
+    fields = picture_fields(sections, config)
+    assert (len(fields.pictures), fields.gap, fields.channels) == (3, 4, 1)
+    assert fields.views == ((0, 0), (1, 0), (2, 0))
+    pair = AdversarialPair(config, 1, torch.device("cpu"), fields.views)
+    assert len(pair.discriminator.judges) == 1
+    made, crops = pair.sample(torch.Generator().manual_seed(0)), fields.crops(1, 0, 3)
+    assert pair.seen(made, 3).shape == crops.shape
+    assert all(torch.isfinite(verdict).all() for verdict in pair.discriminator(crops))
+
+
+@pytest.mark.whole
+def test_a_volume_is_made_from_sections(tmp_path):
+    sections = [picture(seed, (2.0, 2.0)) for seed in range(4)]
+    model = tb.method("gan", **TINY, iterations=2, warmup=0.5, gap=3).fit(sections)
+    made = model.generate(40, seed=1)
+    assert made.spacing == (2.0,) * 3
+    again = tb.load_model(model.save(tmp_path / "sections.model"))
+    assert again.config.gap == 3
+    assert np.array_equal(again.generate(40, seed=1).values, made.values)
+
+
 def test_four_pixels_become_channels():
     x = torch.arange(16.0).reshape(1, 1, 4, 4)
     assert space_to_depth(x)[0, :, 0, 0].tolist() == [0.0, 1.0, 4.0, 5.0]
@@ -173,5 +228,11 @@ def test_exemplars_that_do_not_go_together_are_refused():
         method.fit([volume, flat])
     with pytest.raises(InputError, match="judges volumes"):
         tb.method("gan", preset="3dgan").fit(flat)
+    with pytest.raises(InputError, match="two or more pictures"):
+        tb.method("gan", gap=3, minutes=0, iterations=1).fit(flat)
+    with pytest.raises(InputError, match="less than half a crop"):
+        tb.method("gan", gap=20, crop=40)
+    with pytest.raises(InputError, match="stand for all planes"):
+        tb.method("gan", gap=3, views=("yx", "zx"))
     with pytest.raises(InputError, match="crops of 64 pixels"):
         tb.method("gan", minutes=0, iterations=1).fit(flat)

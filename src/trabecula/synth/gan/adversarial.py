@@ -125,7 +125,9 @@ class AdversarialPair:
 
     def seen(self, fake: Tensor, iteration: int) -> Tensor:
         """Return what the discriminator sees of generated crops: the crops, or slices of them."""
-        return take_slices(fake, self.axes, iteration) if self.axes else fake
+        if not self.axes:
+            return fake
+        return take_slices(fake, self.axes, iteration, gap=self.config.gap)
 
     def sliced(self, fake: Tensor, real: Tensor, random: torch.Generator) -> Tensor:
         """Return the distance of neighbourhoods, of views a mean."""

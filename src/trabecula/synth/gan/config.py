@@ -130,6 +130,11 @@ class GanConfig:
     "xz", "yz". None named: as `kopf` and `sliced` take them.
     """
 
+    gap: int = 0
+    """Pixels from one to the next of two or more parallel sections of a material that is alike from
+    all sides, 0 .. 32, less than half a crop: pairs of slices are then judged, so that it is joined
+    across the planes as well. 0: pictures are of different planes."""
+
     minutes: float = 10.0
     """Time to train for, 0 .. 100000 minutes by the clock; 0 leaves it to the iterations."""
 
@@ -170,7 +175,7 @@ class GanConfig:
     @classmethod
     def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Complete the settings of a recipe or a model that is older than some of them."""
-        older = {"reduction": "mean", "storage": "float32", "views": (), "fractions": 0.0}
+        older = {"reduction": "mean", "storage": "float32", "views": (), "fractions": 0.0, "gap": 0}
         return {**older, **settings}
 
     @classmethod
@@ -200,6 +205,15 @@ class GanConfig:
             raise InputError(
                 f"smoothing={self.smoothing} and polish={self.polish} are more than 2 blurs: "
                 "lower one of them"
+            )
+        if self.gap >= self.crop // 2:
+            raise InputError(
+                f"gap={self.gap} leaves few pairs of slices in crops of {self.crop} voxels: give a "
+                "gap of less than half a crop"
+            )
+        if self.gap and self.views:
+            raise InputError(
+                "parallel sections stand for all planes: leave out either the gap or the views"
             )
         if not self.minutes and not self.iterations:
             raise InputError("minutes=0 and iterations=0 train for ever: give one of them")
@@ -248,6 +262,7 @@ _RANGES = (
     ("decay", 0, 1, False),
     ("average", 0, 0.99999, False),
     ("clip", 0, 50, False),
+    ("gap", 0, 32, True),
     ("minutes", 0, 1e5, False),
     ("checkpoint", 0.01, 1e5, False),
     ("iterations", 0, 10**8, True),

@@ -135,8 +135,8 @@ def effective_config(config: GanConfig, images: Sequence[Image]) -> GanConfig:
     if images[0].ndim == 2:
         config = replace(config, clip=0.0)
     if config.orientations == "auto":
-        alike = (
-            images[0].ndim == 2 and len(images) == 1 and len(views_of(images, config.views)) == 3
+        alike = images[0].ndim == 2 and (
+            bool(config.gap) or (len(images) == 1 and len(views_of(images, config.views)) == 3)
         )
         config = replace(config, orientations="all" if alike else "inverted")
     able = (
@@ -150,10 +150,11 @@ def effective_config(config: GanConfig, images: Sequence[Image]) -> GanConfig:
 def picture_fields(images: Sequence[Image], config: GanConfig) -> PictureFields:
     """Return the fields of pictures in the views of the config."""
     config = effective_config(config, images)
-    different, views = numbered_views(views_of(images, config.views))
-    values = _values_of([view.image for view in different], config)
+    different, views = numbered_views(views_of(images, config.views, gap=config.gap))
+    shown = images if config.gap else [view.image for view in different]
+    values = _values_of(shown, config)
     turns = turns_of(config.orientations, axes=2)
-    found = PictureFields(tuple(values), views, turns, config.crop)
+    found = PictureFields(tuple(values), views, turns, config.crop, gap=config.gap)
     if not config.fractions:
         return found
     counted = _counted(images)

@@ -87,7 +87,7 @@ class ExemplarComparison:
             # Along the rows and columns of each plane, as the volume has them along its axes.
             parts = [
                 (axis, view.image, place)
-                for view in views_of(images, config.views)
+                for view in views_of(images, config.views, gap=config.gap)
                 for place, axis in enumerate(view.across)
             ]
         self.curves = {

@@ -25,7 +25,7 @@ from trabecula.synth.gan.networks import (
     new_generator,
     training_arithmetic,
 )
-from trabecula.synth.gan.slices import STEP
+from trabecula.synth.gan.slices import STEP, seen_channels
 
 _COPIES = 4  # of the weights: their gradients, two moments and the last good state
 # Results of a layer that backpropagation holds: its own, rearranged, and after the activation.
@@ -193,8 +193,9 @@ def _networks(
     z = torch.empty(config.batch, generator.latent + generator.fractions, cells, cells, cells)
     if flat:
         slices = 3 * config.batch * (config.crop // STEP)
-        crop = torch.empty(slices, channels, config.crop, config.crop)
-        return generator, z, TwoScales(config.width, channels, axes=2), crop
+        seen = seen_channels(config, channels)
+        crop = torch.empty(slices, seen, config.crop, config.crop)
+        return generator, z, TwoScales(config.width, seen, axes=2), crop
     crop = torch.empty(config.batch, channels, config.crop, config.crop, config.crop)
     return generator, z, new_discriminator(config, channels), crop
 

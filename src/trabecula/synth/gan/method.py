@@ -19,6 +19,7 @@ from trabecula.core.target import Target, porosity_of
 from trabecula.engine.blocks import Box
 from trabecula.engine.parallel import thread_count
 from trabecula.exemplar.views import spacing_of, views_of
+from trabecula.measure.disector import check_sections
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method, ModelState
 from trabecula.synth.api.windows import WindowModel, field_in
@@ -49,7 +50,8 @@ class Gan(Method):
 
         parts = train(self.config, exemplars)
         if exemplars[0].ndim == 2:
-            spacing = spacing_of(views_of(exemplars, self.config.views))
+            views = views_of(exemplars, self.config.views, gap=self.config.gap)
+            spacing = spacing_of(views)
             parts["spacing"] = [float(edge) for edge in spacing]
         # What it learnt without stands in the model's settings.
         return GanModel(effective_config(self.config, exemplars), exemplars, parts)
@@ -64,6 +66,8 @@ class Gan(Method):
         return {"interpreter and kernels": PROCESS + _AUTOGRAD, **found}
 
     def _check_exemplars(self, images: Sequence[Image]) -> None:
+        if self.config.gap:
+            check_sections(images, self.config.gap)
         if all(image.ndim == 3 for image in images):
             if len(images) > 1:
                 raise InputError(f"method 'gan' learns from one volume, got {len(images)}")

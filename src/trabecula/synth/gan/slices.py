@@ -3,7 +3,9 @@ axis that a picture is seen across (Kench and Cooper 2021, SliceGAN, Nature Mach
 
 The generator is the one that learns from volumes. Each picture has a discriminator of its own, one
 picture in all planes has one for all of them. Crops of pictures and slices of generated crops are
-tensors (N, V, K, Y, X): V views, in the order of the axes that they are seen across.
+tensors (N, V, K, Y, X): V views, in the order of the axes that they are seen across. Of parallel
+sections pairs are judged, with the channels of both: two near sections say how a material
+continues across a plane (the disector of stereology, see `measure.disector`).
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ class PictureFields:
     Parameters
     ----------
     pictures : tuple of (K, Y, X) float32 tensor
-        As the values of `TrainingFields`.
+        As the values of `TrainingFields`; with a gap the sections, in their order.
     views : tuple of (int, int)
         Axis of the volume that a plane is seen across, and the number of its picture.
     turns : tuple
@@ -43,6 +45,8 @@ class PictureFields:
         Edge of a crop, pixels.
     local : LocalFractions, optional
         Fractions around cells in space, as the pictures have them.
+    gap : int
+        Pixels from one to the next where the pictures are parallel sections; 0 where they are not.
     """
 
     pictures: tuple[Tensor, ...]
@@ -50,6 +54,7 @@ class PictureFields:
     turns: tuple[Turn, ...]
     crop: int
     local: LocalFractions | None = None
+    gap: int = 0
 
     @property
     def channels(self) -> int:
@@ -66,10 +71,15 @@ class PictureFields:
         crop, crop), random in place and orientation: a function of seed and iteration alone.
         """
         random = generator(seed, "gan/crops", iteration)
-        number = count * (self.crop // STEP)
+        number = count * len(_places(self.crop, self.gap, iteration))
         found = []
         for _, picture in self.views:
             values, c = self.pictures[picture], self.crop
+            if self.gap:
+                lower = int(random.integers(0, len(self.pictures) - 1))
+                pair = self.pictures[lower : lower + 2]
+                # No side is up in a material that is alike from all sides.
+                values = torch.cat(pair if random.integers(0, 2) else pair[::-1])
             starts = random.integers(0, np.asarray(values.shape[1:]) - c + 1, (number, 2)).tolist()
             turns = random.integers(0, len(self.turns), number).tolist()
             parts = [
@@ -105,23 +115,36 @@ class PictureFields:
             real = self.pictures[picture]
             sides = [side for a, side in enumerate(field.shape[2:]) if a != axis]
             y, x = (min(pair) for pair in zip(sides, real.shape[1:], strict=True))
-            slices = _across(field, axis, 0, 2 * STEP)[..., :y, :x]
+            places = range(0, field.shape[2 + axis], 2 * STEP)
+            slices = _across(field, axis, places)[..., :y, :x]
             same = real[None, :, :y, :x].expand(len(slices), -1, -1, -1)
             total += float(losses.sliced(slices, same, random))
         return total / len(self.views)
 
 
-def take_slices(volumes: Tensor, axes: Sequence[int], iteration: int) -> Tensor:
+def take_slices(volumes: Tensor, axes: Sequence[int], iteration: int, *, gap: int = 0) -> Tensor:
     """Return every `STEP`-th slice of generated crops (B, K, c, c, c) across each of the axes, (B
-    c / STEP, V, K, c, c).
+    c / STEP, V, K, c, c); with a gap pairs of slices so far apart, (B n, V, 2 K, c, c).
     """
-    return torch.stack([_across(volumes, axis, iteration % STEP, STEP) for axis in axes], 1)
+    places = _places(volumes.shape[2], gap, iteration)
+    offsets = (0, gap) if gap else (0,)
+    return torch.stack([_across(volumes, axis, places, offsets) for axis in axes], 1)
 
 
-def _across(volumes: Tensor, axis: int, first: int, step: int) -> Tensor:
-    """Return slices of (B, K, Z, Y, X) across an axis, (B n, K, rows, columns)."""
-    places = torch.arange(first, volumes.shape[2 + axis], step, device=volumes.device)
-    return volumes.index_select(2 + axis, places).movedim(2 + axis, 1).flatten(0, 1)
+def _places(side: int, gap: int, iteration: int) -> range:
+    """Return the slices of a generated crop that are judged, of pairs the first."""
+    return range(iteration % STEP, side - gap, STEP)
+
+
+def _across(
+    volumes: Tensor, axis: int, places: Sequence[int], offsets: Sequence[int] = (0,)
+) -> Tensor:
+    """Return slices of (B, K, Z, Y, X) across an axis, (B n, K, rows, columns); with the channels
+    of all that lie at the offsets from a place.
+    """
+    first = torch.tensor(places, device=volumes.device)
+    parts = [volumes.index_select(2 + axis, first + offset) for offset in offsets]
+    return torch.cat([part.movedim(2 + axis, 1) for part in parts], 2).flatten(0, 1)
 
 
 class SliceScales(nn.Module):
@@ -169,4 +192,10 @@ def new_slice_discriminator(
     config: GanConfig, channels: int, views: Sequence[tuple[int, int]]
 ) -> SliceScales:
     """Build the discriminator of pictures with new weights."""
-    return SliceScales(config.width, channels, [picture for _, picture in views])
+    seen = seen_channels(config, channels)
+    return SliceScales(config.width, seen, [picture for _, picture in views])
+
+
+def seen_channels(config: GanConfig, channels: int) -> int:
+    """Return the channels of what is judged: of pairs of sections those of both."""
+    return 2 * channels if config.gap else channels
