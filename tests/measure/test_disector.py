@@ -61,6 +61,8 @@ def test_sections_that_do_not_fit_each_other_are_refused():
         disector_euler_density([one, one], gap=0)
     with pytest.raises(InputError, match="register and crop"):
         disector_euler_density([one, tb.crop(one, (30, 40))], gap=3)
+    with pytest.raises(InputError, match="nearer to each other"):
+        disector_euler_density([one, one], gap=40)
     wide = tb.Image(one.values, "labels", spacing=(1.0, 2.0))
     with pytest.raises(InputError, match="squares"):
         disector_euler_density([wide, wide], gap=3)

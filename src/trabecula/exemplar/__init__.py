@@ -2,4 +2,4 @@
 makes itself.
 """
 
-__all__ = ["crop", "margins", "place", "samples", "segment", "target", "views"]
+__all__ = ["crop", "margins", "place", "samples", "sections", "segment", "target", "views"]

@@ -112,7 +112,7 @@ def check_sections(sections: Sequence[Image | ArrayLike], gap: int) -> list[Imag
     ------
     InputError
         Fewer than two; volumes; shapes or spacings that differ; pixels that are no squares; no
-        whole gap of 1 or more.
+        whole gap of 1 or more, or one as long as a side.
     """
     as_number(gap, name="gap", low=1, high=GAP, whole=True)
     images = [as_image(section) for section in sections]
@@ -128,6 +128,11 @@ def check_sections(sections: Sequence[Image | ArrayLike], gap: int) -> list[Imag
                 f"parallel sections are pictures of one shape and spacing, got {first.shape} and "
                 f"{image.shape}: register and crop them first"
             )
+    if gap >= min(first.shape):
+        raise InputError(
+            f"a gap of {gap} pixels is as long as a side of sections of {first.shape}: give larger "
+            "ones, nearer to each other"
+        )
     if max(first.spacing) > min(first.spacing) * (1 + _SQUARE):
         raise InputError(
             f"the gap is in pixels, so they have to be squares, not {first.spacing}: resample the "

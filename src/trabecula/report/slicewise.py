@@ -14,6 +14,7 @@ import numpy as np
 
 from trabecula.core import progress
 from trabecula.core.image import Image
+from trabecula.exemplar.sections import sections_apart
 from trabecula.measure.describe import describe_numbers
 from trabecula.measure.effective_properties import describe_physics, physics_notes
 from trabecula.measure.registry import DESCRIPTORS
@@ -75,6 +76,7 @@ def judge_volumes(
     """
     sections = pictures if gap else ()
     planes = slice_planes(pictures, views, gap=gap)
+    apart = sections_apart(sections, gap) if sections else None
     pictures = [plane.picture for plane in planes]
     for image, name in zip(images, names, strict=True):
         check_volume(image, pictures, views, name)
@@ -110,6 +112,7 @@ def judge_volumes(
             notes = (*notes, _sections_note(len(sections), gap))
         baseline = {key: m for judge in judges for key, m in judge.baseline.items()} or None
         reasons = [picture_reason()] if joined else []
+        reasons += [apart] if apart else []
         reasons += [reason for judge in judges for reason in judge.reasons(level)]
         found.append(
             Certificate(

@@ -13,11 +13,13 @@ from trabecula.core.checks import as_spacing
 from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.optional import need
+from trabecula.core.progress import notify
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.core.target import Target, porosity_of
 from trabecula.engine.blocks import Box
 from trabecula.engine.parallel import thread_count
+from trabecula.exemplar.sections import sections_apart
 from trabecula.exemplar.views import spacing_of, views_of
 from trabecula.measure.disector import check_sections
 from trabecula.synth.api.exemplar_info import ExemplarInfo
@@ -68,6 +70,8 @@ class Gan(Method):
     def _check_exemplars(self, images: Sequence[Image]) -> None:
         if self.config.gap:
             check_sections(images, self.config.gap)
+            if found := sections_apart(images, self.config.gap):
+                notify(found)
         if all(image.ndim == 3 for image in images):
             if len(images) > 1:
                 raise InputError(f"method 'gan' learns from one volume, got {len(images)}")

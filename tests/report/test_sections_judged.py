@@ -9,6 +9,7 @@ from trabecula.errors import InputError
 from trabecula.measure import disector_along, disector_euler_density, euler_density
 from trabecula.report import verify
 from trabecula.report.metrics import find_descriptor
+from trabecula.report.sections import judge_sections
 
 GAP, NAME = 2, "disector_euler_density"
 
@@ -54,6 +55,32 @@ def test_a_structure_that_slices_do_not_tell_apart_fails(sections):
     """Layers of equal slices: no body begins, ends or branches from slice to slice."""
     walls = tb.Image(np.repeat(field(3, 8, 48, 48)[:1], 48, axis=0), "labels")
     assert verify(sections, walls, gap=GAP, level="quick").metrics[NAME].passed is False
+
+
+def test_the_band_follows_from_the_volume_between_sections(sections, volume):
+    """Layers twice as thick, of the same estimates by parts, are known as well as half as many."""
+    by_pair = [judge_sections(sections[n : n + 2], GAP, volume)[NAME] for n in (0, 1)]
+    low, high = by_pair[0].real_band
+    parts = [
+        disector_euler_density(
+            [tb.crop(each, (66, 66), corner=(y, x)) for each in sections[:2]], gap=GAP
+        )
+        for y in (0, 67, 134)
+        for x in (0, 67, 134)
+    ]
+    part, whole, image = GAP * 66**2, GAP * 200**2, 48**3
+    further = np.sqrt(part / image + part / whole)
+    deviation = np.std(parts, ddof=1) / np.sqrt(9 / 8 * (1 - part / whole))
+    # Student's t for 8 degrees of freedom, 99.5 %
+    assert (high - low) / 2 == pytest.approx(3.355 * deviation * further, rel=0.25)
+
+
+@pytest.mark.whole
+def test_sections_that_contradict_their_gap_decide_nothing(sections, volume):
+    wrong = verify([sections[0], sections[2]], volume, gap=1, level="quick")
+    assert any("correlate by" in reason for reason in wrong.undecided)
+    right = verify(sections, volume, gap=GAP, level="quick")
+    assert not any("correlate by" in reason for reason in right.undecided)
 
 
 @pytest.mark.whole
