@@ -51,6 +51,7 @@ import photographs
 import printing
 import properties
 import scan
+import sections
 import stills
 import texture
 import texture_figures
@@ -124,6 +125,8 @@ CASES: dict[str, Callable[[], None]] = {
     "gan_weights": gan_weights.gan_weights,
     "image_likeness": image.image_likeness,
     "image_cells": image_cells.image_cells,
+    "sections": sections.sections,
+    "section_verdicts": sections.section_verdicts,
     "image_paper": image_paper.image_paper,
     "image_cooling": image_figures.image_cooling,
     "image_upsampling": image_figures.image_upsampling,

@@ -105,10 +105,7 @@ def views_of(
     named = as_planes(named)
     if gap:
         check_sections(images, gap)
-        if named:
-            raise InputError(
-                "parallel sections stand for all planes: leave out either the gap or the views"
-            )
+        check_gap_alone(gap, named)
         images = images[:1]
     if not named:
         return _validate(_by_count(images))
@@ -141,6 +138,14 @@ def as_planes(given: str | Sequence[str]) -> tuple[str, ...]:
             "such as [yx, zx, zy]"
         )
     return planes
+
+
+def check_gap_alone(gap: int, planes: Sequence[str]) -> None:
+    """Raise where parallel sections are said to lie in planes as well."""
+    if gap and planes:
+        raise InputError(
+            "parallel sections stand for all planes: leave out either the gap or the views"
+        )
 
 
 def check_plane(plane: str) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
-from trabecula.exemplar.views import as_planes
+from trabecula.exemplar.views import as_planes, check_gap_alone
 
 GENERATORS = ("subpixel", "deconvolution", "deconvolution+conv")
 DISCRIMINATORS = ("scales", "patch", "score")
@@ -211,10 +211,7 @@ class GanConfig:
                 f"gap={self.gap} leaves few pairs of slices in crops of {self.crop} voxels: give a "
                 "gap of less than half a crop"
             )
-        if self.gap and self.views:
-            raise InputError(
-                "parallel sections stand for all planes: leave out either the gap or the views"
-            )
+        check_gap_alone(self.gap, self.views)
         if not self.minutes and not self.iterations:
             raise InputError("minutes=0 and iterations=0 train for ever: give one of them")
         if (self.gram or self.structural) and self.discriminator == "scales":

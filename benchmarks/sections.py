@@ -1,0 +1,94 @@
+"""What two parallel sections say of a volume's Euler number."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+import trabecula as tb
+from common import asked, table
+from descriptors import scans
+from trabecula.report.sections import NAME, judge_sections
+
+GAPS = (1, 2, 3, 4)
+PLACES = 12
+"""Pairs of sections along z."""
+SIDE = 96
+METHODS = ("kopf", "chen", "sliced", "mrf")
+JUDGED = ("soil, Otsu", "NMC", "Berea", "cement, Otsu")
+"""Scans that are alike from all sides."""
+
+
+def sections() -> None:
+    """Euler number of the solid per 1e6 voxels: of a scan, and by pairs of its sections along z at
+    several gaps, mean and standard deviation; how many boxes of 96^3 of the scan, its middle and
+    its last, lie in the band of a pair of gap 2 or 3.
+    """
+    heads = ("scan's", *(f"gap {gap}" for gap in GAPS), "in band")
+    row = table("scan", *heads, wide=22)
+    total = np.zeros(2, int)
+    for name, scan in _labels():
+        cells = [f"{1e6 * tb.measure.euler_density(scan):.0f}"]
+        for gap in GAPS:
+            found = [
+                1e6 * tb.measure.disector_euler_density(pair, gap=gap) for pair in _pairs(scan, gap)
+            ]
+            cells.append(f"{np.mean(found):.0f} +- {np.std(found):.0f}")
+        passed = [
+            judge_sections(pair, gap, box)[NAME].passed
+            for gap in (2, 3)
+            for pair in _pairs(scan, gap)
+            for box in _boxes(scan)
+        ]
+        total += sum(passed), len(passed)
+        row(name, *cells, f"{sum(passed)} of {len(passed)}")
+    print("in band: {} of {}".format(*total))
+
+
+def section_verdicts() -> None:
+    """Volumes of 96^3 that methods make from the middle slice of a scan, judged by that slice and
+    one 3 voxels above: the Euler number as sections see it, per 1e6 voxels, and the verdict.
+    """
+    row = table("scan, method", "sections'", "band", "the volume's", "verdict", wide=24)
+    for name, scan in _labels():
+        if name not in (asked("ONLY") or JUDGED):
+            continue
+        middle = len(scan.values) // 2
+        pair = [_section(scan, place) for place in (middle, middle + 3)]
+        made = {"scan": tb.crop(scan, [min(SIDE, side) for side in scan.shape])}
+        for method in asked("METHODS") or METHODS:
+            made[method] = tb.method(method).fit(pair[0]).generate(SIDE, seed=1)
+        for word, volume in made.items():
+            metric = judge_sections(pair, 3, volume)[NAME]
+            low, high = metric.real_band
+            row(
+                f"{name}: {word}",
+                f"{1e6 * metric.exemplar:.0f}",
+                f"{1e6 * low:.0f} .. {1e6 * high:.0f}",
+                f"{1e6 * metric.value:.0f}",
+                "pass" if metric.passed else "FAIL",
+            )
+
+
+def _labels() -> Iterator[tuple[str, tb.Image]]:
+    """Yield the scans of two phases, without blank margins and a spacing."""
+    for name, scan in scans().items():
+        if len(scan.phases) == 2:
+            yield name, tb.crop_margins(tb.Image(scan.values, "labels", phases=scan.phases))
+
+
+def _pairs(scan: tb.Image, gap: int) -> list[list[tb.Image]]:
+    last = len(scan.values) - gap - 1
+    places = np.linspace(0, last, PLACES).astype(int)
+    return [[_section(scan, place), _section(scan, place + gap)] for place in places]
+
+
+def _section(scan: tb.Image, place: int) -> tb.Image:
+    return tb.Image(np.ascontiguousarray(scan.values[place]), "labels", phases=scan.phases)
+
+
+def _boxes(scan: tb.Image) -> list[tb.Image]:
+    sides = [min(SIDE, side) for side in scan.shape]
+    last = [have - side for have, side in zip(scan.shape, sides, strict=True)]
+    return [tb.crop(scan, sides), tb.crop(scan, sides, corner=last)]
