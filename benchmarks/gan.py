@@ -18,6 +18,7 @@ from common import SCANS, asked, busy, pictures, table, tell
 from descriptors import GREY, LABELS, scans
 from image_truth import curves, figures_heads, relative
 from image_truth import figures as volume_figures
+from sections import section
 from trabecula.exemplar.views import PLANES
 from trabecula.models import shipped_models
 from trabecula.report.planes import take_slices
@@ -129,8 +130,8 @@ def from_pictures() -> None:
     last, and two that are asked for its porosity; figures as of `image_truth`, surface per voxel.
     Before them the spread of fractions around cells that the picture implies, and the scan's.
     TRABECULA_BENCH_GAP=3 adds a second section so many voxels from the first,
-    TRABECULA_BENCH_PICTURES=3 takes the middle slices across all axes. Pictures and models are kept
-    with --out.
+    TRABECULA_BENCH_PICTURES=3 (without a gap) takes the middle slices across all axes. Pictures
+    and models are kept with --out.
     """
     iterations, every = int((asked("ITERATIONS") or ["3000"])[0]), scans()
     gap, folder = int((asked("GAP") or ["0"])[0]), pictures()
@@ -140,8 +141,10 @@ def from_pictures() -> None:
         plain = tb.Image(scan.values, "labels", phases=scan.phases)
         sides = [min(PICTURED_SIDE, have) for have in plain.shape]
         learnt = [take_slices(plain, plane, 1)[0] for plane in PLANES]
-        if asked("PICTURES") != ["3"]:
-            learnt = learnt[:1] + ([_slice(plain, plain.shape[0] // 2 + gap)] if gap else [])
+        if gap:
+            learnt = [learnt[0], section(plain, plain.shape[0] // 2 + gap)]
+        elif asked("PICTURES") != ["3"]:
+            learnt = learnt[:1]
         model = tb.method("gan", iterations=iterations, minutes=0, gap=gap).fit(learnt)
         if gap:
             by_sections = tb.measure.disector_euler_density(learnt, gap=gap)
@@ -172,11 +175,6 @@ def from_pictures() -> None:
             word = "".join(letter for letter in name if letter.isalnum()) + f"-{len(learnt)}"
             model.save(folder / f"{word}.model")
             montage([found["middle"], found["seed 1"]], ["scan", "seed 1"], folder / f"{word}.png")
-
-
-def _slice(volume: tb.Image, place: int) -> tb.Image:
-    values = np.ascontiguousarray(volume.values[place])
-    return tb.Image(values, "labels", volume.spacing[1:], unit=volume.unit, phases=volume.phases)
 
 
 def speed() -> None:

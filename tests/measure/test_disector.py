@@ -66,5 +66,11 @@ def test_sections_that_do_not_fit_each_other_are_refused():
     wide = tb.Image(one.values, "labels", spacing=(1.0, 2.0))
     with pytest.raises(InputError, match="squares"):
         disector_euler_density([wide, wide], gap=3)
+    with pytest.raises(InputError, match="got a volume"):
+        disector_euler_density([coarse(1), coarse(1)], gap=2)
+    with pytest.raises(InputError, match="one spacing"):
+        disector_euler_density([one, tb.Image(one.values, "labels", spacing=2.0)], gap=2)
+    with pytest.raises(InputError, match="one spacing"):
+        disector_euler_density([one, tb.Image(one.values, "labels", unit="um")], gap=2)
     with pytest.raises(InputError, match="more than 50 slices"):
         disector_along(coarse(1), gap=50)

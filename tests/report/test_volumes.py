@@ -171,6 +171,21 @@ def test_isotropy_is_judged_in_directions_that_no_slice_shows(joined):
     assert not set(names) & set(views), "a picture of two planes says nothing of the third"
 
 
+@pytest.mark.whole
+def test_the_solid_of_three_phases_is_all_but_the_void():
+    field = smooth(18, (8, 112, 112), share=0.75)[4]
+    half = np.arange(112) // 8 % 2
+    made = smooth(208, (48, 48, 48), share=0.75)
+    three, phases = field * (1 + half[:, None] * half), ("void", "a", "b")
+    picture = labels(three.astype(np.uint8), phases=phases)
+    volume = labels(made * (1 + half[:48]).astype(np.uint8), phases=phases)
+    found = verify(picture, volume, level="quick").metrics
+    alone = verify(labels(field), labels(made), level="quick").metrics
+    for name in ("percolates_3d", "largest_fraction_3d"):
+        assert found[name].value == alone[name].value
+        assert found[name].passed == alone[name].passed is True
+
+
 def test_joined_planes_and_shares():
     both = Joined(("y",), 1, (0.9, 0.8)).union(Joined(("z",), 1, (0.95, 0.7)))
     assert both == Joined(("z", "y"), 2, (0.95, 0.7)) and both.implied

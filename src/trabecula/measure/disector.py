@@ -1,11 +1,11 @@
 """The Euler number in space from parallel plane sections: the disector.
 
-Between two near sections a body is taken to go on as a cylinder where both hold it. By the Euler
+Between two near sections a body is taken to continue as a cylinder where both hold it. By the Euler
 number of a union, a layer of thickness h between the sections S and T then has
 (chi(S) + chi(T)) / 2 - chi(S and T), plane Euler numbers per area, over h: what begins, ends, joins
-or parts between the sections (Sterio 1984, Journal of Microscopy 134; of serial sections Vogel
-1997, European Journal of Soil Science 48). No isotropy is assumed. What is smaller
-than h is missed, so h is a third of the thinnest bodies at most.
+or parts between the sections (Gundersen, Boyce, Nyengaard, Odgaard 1993, Bone 14, 217-222; of
+serial sections Vogel 1997, European Journal of Soil Science 48). No isotropy is assumed. What is
+thinner than h is missed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from trabecula.measure.phases import as_axis, indicator
 GAP = 1000
 """Largest distance between sections, pixels."""
 
-_SQUARE = 1e-6  # by which the edges of a pixel may differ, relative
+_SAME = 1e-6  # by which edges of pixels that count as equal may differ, relative
 
 
 def disector_euler_density(
@@ -60,9 +60,9 @@ def disector_euler_density(
     >>> round(disector_euler_density([empty, body], gap=1) * 25, 6)
     0.5
     """
-    images = check_sections(sections, gap)
+    images, gap = check_sections(sections, gap)
     inside = np.stack([indicator(image, phase)[1] for image in images])
-    return _density(inside[:-1], inside[1:], gap * images[0].spacing[0], images[0].spacing)
+    return density_between(inside, images[0].spacing, height=gap * images[0].spacing[0])
 
 
 def disector_along(
@@ -70,8 +70,8 @@ def disector_along(
 ) -> float:
     """Estimate the Euler number per volume of a volume from all pairs of its slices across an axis.
 
-    What two sections of a material say is to be held against this, since both miss what is smaller
-    than the gap.
+    What two sections of a material say is to be held against this, since both miss what is thinner
+    than the gap. With a gap of 1 it is `euler_density`.
 
     Parameters
     ----------
@@ -93,28 +93,50 @@ def disector_along(
         Fewer slices than the gap needs, or no such phase.
     """
     image, inside = indicator(image, phase)
-    across = as_axis(axis, image.ndim)
-    gap = int(as_number(gap, name="gap", low=1, high=GAP, whole=True))
+    across, gap = as_axis(axis, image.ndim), _as_gap(gap)
     if image.ndim != 3 or image.shape[across] <= gap:
         raise InputError(
             f"a gap of {gap} needs a volume of more than {gap} slices, got {image.shape}: give a "
             "smaller gap"
         )
-    slices = np.moveaxis(inside, across, 0)
     edges = tuple(edge for n, edge in enumerate(image.spacing) if n != across)
-    return _density(slices[:-gap], slices[gap:], gap * image.spacing[across], edges)
+    slices, height = np.moveaxis(inside, across, 0), gap * image.spacing[across]
+    return density_between(slices, edges, height=height, step=gap)
 
 
-def check_sections(sections: Sequence[Image | ArrayLike], gap: int) -> list[Image]:
-    """Return parallel sections as images.
+def density_between(
+    slices: np.ndarray, edges: Sequence[float], *, height: float, step: int = 1
+) -> float:
+    """Return the Euler number per volume of the layers between slices and the `step`-th after them.
+
+    Parameters
+    ----------
+    slices : (N, Y, X) bool
+    edges : two floats
+        Of a pixel.
+    height : float
+        Of a layer.
+    step : int
+    """
+
+    def plane(inside: np.ndarray) -> float:  # per area, neighbours share an edge
+        return euler_density(Image(inside.astype(np.uint8), "labels", tuple(edges)), phase=1)
+
+    own = np.array([plane(each) for each in slices])
+    common = [plane(a & b) for a, b in zip(slices[:-step], slices[step:], strict=True)]
+    return float(np.mean((own[:-step] + own[step:]) / 2 - common) / height)
+
+
+def check_sections(sections: Sequence[Image | ArrayLike], gap: int) -> tuple[list[Image], int]:
+    """Return parallel sections as images, and their gap as a whole number.
 
     Raises
     ------
     InputError
-        Fewer than two; volumes; shapes or spacings that differ; pixels that are no squares; no
-        whole gap of 1 or more, or one as long as a side.
+        Fewer than two; volumes; shapes, spacings or units that differ; pixels that are no squares;
+        no whole gap of 1 or more, or one as long as a side.
     """
-    as_number(gap, name="gap", low=1, high=GAP, whole=True)
+    gap = _as_gap(gap)
     images = [as_image(section) for section in sections]
     if len(images) < 2:
         raise InputError(
@@ -123,33 +145,32 @@ def check_sections(sections: Sequence[Image | ArrayLike], gap: int) -> list[Imag
         )
     first = images[0]
     for image in images:
-        if image.ndim != 2 or image.shape != first.shape or image.spacing != first.spacing:
+        if image.ndim != 2:
             raise InputError(
-                f"parallel sections are pictures of one shape and spacing, got {first.shape} and "
-                f"{image.shape}: register and crop them first"
+                f"parallel sections are pictures, got a volume of {image.shape}: give slices of it"
+            )
+        if image.shape != first.shape:
+            raise InputError(
+                f"parallel sections are of one shape, got {first.shape} and {image.shape}: "
+                "register and crop them first"
+            )
+        if image.unit != first.unit or not np.allclose(image.spacing, first.spacing, rtol=_SAME):
+            raise InputError(
+                f"parallel sections have one spacing, got {first.spacing} {first.unit} and "
+                f"{image.spacing} {image.unit}: give both their spacing, or resample one"
             )
     if gap >= min(first.shape):
         raise InputError(
             f"a gap of {gap} pixels is as long as a side of sections of {first.shape}: give larger "
             "ones, nearer to each other"
         )
-    if max(first.spacing) > min(first.spacing) * (1 + _SQUARE):
+    if max(first.spacing) > min(first.spacing) * (1 + _SAME):
         raise InputError(
             f"the gap is in pixels, so they have to be squares, not {first.spacing}: resample the "
             "sections"
         )
-    return images
+    return images, gap
 
 
-def _density(lower: np.ndarray, upper: np.ndarray, height: float, edges: Sequence[float]) -> float:
-    """Return the density from pairs of sections, (N, Y, X) bool each."""
-    total = 0.0
-    for one, other in zip(lower, upper, strict=True):
-        mean = (_plane(one, edges) + _plane(other, edges)) / 2
-        total += mean - _plane(one & other, edges)
-    return total / (len(lower) * height)
-
-
-def _plane(inside: np.ndarray, edges: Sequence[float]) -> float:
-    """Return the Euler number per area of a section, neighbours share an edge."""
-    return euler_density(Image(inside.astype(np.uint8), "labels", tuple(edges)), phase=1)
+def _as_gap(gap: int) -> int:
+    return int(as_number(gap, name="gap", low=1, high=GAP, whole=True))

@@ -144,19 +144,26 @@ def value_band(values: Sequence[float], own: float, sizes: Sizes) -> tuple[float
     low, high : float
         The exemplar's own value lies between them. Not below 0 where no part is.
     """
-    count = len(values)
-    # Parts scatter around the mean of the exemplar that they lie in, not around that of the
-    # material.
-    seen = count / (count - 1) * (1 - sizes.variance(sizes.whole))
-    deviation = float(np.std(values, ddof=1)) / math.sqrt(seen)
-    further = math.sqrt(sizes.variance(sizes.image) + sizes.variance(sizes.whole))
-    reach = student(count - 1, (1 + CONFIDENCE) / 2) * deviation * further
+    reach = value_reach(values, sizes)
     expected = expected_value(values, own, sizes)
     low, high = min(own, expected) - reach, max(own, expected) + reach
     # Quantities that cannot be negative stay so; a solver may leave a hair below 0 where nothing
     # bears.
     positive = min(*values, own) >= -1e-6 * max(abs(value) for value in values)
     return (max(low, 0.0) if positive else low), high
+
+
+def value_reach(values: Sequence[float], sizes: Sizes) -> float:
+    """Return how far a figure of another sample of the image's size lies from the exemplar's, 99
+    times in 100, where faces bias neither; the parameters are those of `value_band`.
+    """
+    count = len(values)
+    # Parts scatter around the mean of the exemplar that they lie in, not around that of the
+    # material.
+    seen = count / (count - 1) * (1 - sizes.variance(sizes.whole))
+    deviation = float(np.std(values, ddof=1)) / math.sqrt(seen)
+    further = math.sqrt(sizes.variance(sizes.image) + sizes.variance(sizes.whole))
+    return student(count - 1, (1 + CONFIDENCE) / 2) * deviation * further
 
 
 def distance_limit(values: Sequence[float], sizes: Sizes) -> float:

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trabecula.core import progress
-from trabecula.core.checks import check_name, check_type
+from trabecula.core.checks import as_number, check_name, check_type
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.measure.blockwise import names_without_slabs
 from trabecula.measure.copying import diversity
+from trabecula.measure.disector import GAP
 from trabecula.measure.fractions import porosity
 from trabecula.measure.registry import LEVELS
 from trabecula.report.band import parts
@@ -189,6 +190,7 @@ def verify(
     others = [_as_image(image, name=f"image {n}") for n, image in enumerate(images, start=1)]
     names = _names(names, len(others))
     check_type(views, Sequence, name="views", advice="give names of planes")
+    gap = int(as_number(gap, name="gap", low=0, high=GAP, whole=True))
     level, slab_note = _level_for(others, names, level)
     if (
         len(exemplars) > 1

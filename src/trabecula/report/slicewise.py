@@ -14,7 +14,7 @@ import numpy as np
 
 from trabecula.core import progress
 from trabecula.core.image import Image
-from trabecula.exemplar.sections import sections_apart
+from trabecula.exemplar.sections import gap_contradiction
 from trabecula.measure.describe import describe_numbers
 from trabecula.measure.effective_properties import describe_physics, physics_notes
 from trabecula.measure.registry import DESCRIPTORS
@@ -41,8 +41,7 @@ from trabecula.report.planes import (
     take_slices,
 )
 from trabecula.report.reference import Reference, try_coherence
-from trabecula.report.sections import NAME as SECTIONS
-from trabecula.report.sections import judge_sections
+from trabecula.report.sections import FIGURE, judge_sections
 from trabecula.report.stereology import (
     Joined,
     beyond,
@@ -76,7 +75,7 @@ def judge_volumes(
     """
     sections = pictures if gap else ()
     planes = slice_planes(pictures, views, gap=gap)
-    apart = sections_apart(sections, gap) if sections else None
+    contradiction = gap_contradiction(sections, gap) if sections else None
     pictures = [plane.picture for plane in planes]
     for image, name in zip(images, names, strict=True):
         check_volume(image, pictures, views, name)
@@ -95,7 +94,7 @@ def judge_volumes(
         whole, details = _measure_volume(image, level, box)
         metrics |= whole
         if sections:
-            metrics |= judge_sections(sections, gap, image)
+            metrics |= judge_sections(sections, gap, image, trusted=contradiction is None)
         joined: dict[str, Joined] = {}
         for judge in judges if whole else []:
             for ending, phase in judge.joined().items():
@@ -108,11 +107,13 @@ def judge_volumes(
         ordered = {name: metrics[name] for name in in_order(metrics)}
         own_notes = (note for judge in judges for note in judge.notes())
         notes = (*own_notes, *_volume_notes(ordered, joined, details))
-        if SECTIONS in ordered:
-            notes = (*notes, _sections_note(len(sections), gap))
+        judged = FIGURE in ordered and ordered[FIGURE].passed is not None
+        if sections:
+            about["sections"] = {"count": len(sections), "gap": gap}
+            notes = (*notes, _sections_note(len(sections), gap, judged=judged))
         baseline = {key: m for judge in judges for key, m in judge.baseline.items()} or None
         reasons = [picture_reason()] if joined else []
-        reasons += [apart] if apart else []
+        reasons += [contradiction] if contradiction else []
         reasons += [reason for judge in judges for reason in judge.reasons(level)]
         found.append(
             Certificate(
@@ -124,7 +125,7 @@ def judge_volumes(
                 baseline,
                 tuple(reasons),
                 judges[0].maps(image),
-                tuple(beyond(joined, ordered, sections=SECTIONS in ordered)) if joined else (),
+                tuple(beyond(joined, ordered, sections=judged)) if joined else (),
             )
         )
     return found
@@ -266,11 +267,17 @@ def _measure_volume(
     return {name: Metric(value) for name, value in found.items()} | void_figures(image), details
 
 
-def _sections_note(count: int, gap: int) -> str:
+def _sections_note(count: int, gap: int, *, judged: bool) -> str:
+    if not judged:
+        return (
+            f"Slices are judged by the first of the {count} sections. The Euler number is not: "
+            "that takes labels, sections with room for parts, a volume longer than the gap, and a "
+            "gap that nothing contradicts."
+        )
     return (
-        f"The Euler number is judged by {count} sections that are {gap} voxels from one to the "
-        "next, slices by the first of them. The volume is measured from slices as far apart: both "
-        "miss what is thinner."
+        f"The Euler number of the solid is judged by {count} sections that are {gap} voxels from "
+        "one to the next, slices by the first of them. The volume is measured from slices as far "
+        "apart: both miss what is thinner."
     )
 
 

@@ -91,14 +91,21 @@ def joined_in(
         Largest part of the picture, pixels.
     """
     return {
-        ending: _joined(reference, phase, planes, measured, shape)
+        ending: _joined(
+            # Not named, the solid is every phase but the void.
+            reference,
+            None if phase == "solid" else phase,
+            planes,
+            measured,
+            shape,
+        )
         for ending, phase in PHASES.items()
     }
 
 
 def _joined(
     reference: Reference,
-    phase: str,
+    phase: str | None,
     planes: Sequence[str],
     measured: Measurements,
     shape: Sequence[int],
@@ -119,7 +126,7 @@ def _joined(
     return Joined(tuple(sorted(axes, key="zyx".index)), len(planes) if share else 0, share)
 
 
-def _largest(image: Image, phase: str) -> float:
+def _largest(image: Image, phase: str | None) -> float:
     sizes = component_sizes(image, phase=phase)
     return float(sizes.max(initial=0) / max(1, sizes.sum()))
 
@@ -230,8 +237,8 @@ def _range(values: Sequence[float]) -> float:
 def beyond(
     joined: Mapping[str, Joined], metrics: Mapping[str, Metric], *, sections: bool = False
 ) -> Iterator[str]:
-    """Yield what pictures do not decide about a volume, with the volume's own figures; whether
-    parallel sections decide on the Euler number.
+    """Yield what pictures do not decide about a volume, with the volume's own figures; `sections`
+    says whether parallel sections judge the Euler number of the solid.
     """
     for ending, phase in joined.items():
         share = metrics[f"largest_fraction_{VOLUME}{ending}"].value

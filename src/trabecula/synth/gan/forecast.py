@@ -25,7 +25,7 @@ from trabecula.synth.gan.networks import (
     new_generator,
     training_arithmetic,
 )
-from trabecula.synth.gan.slices import STEP, seen_channels
+from trabecula.synth.gan.slices import STEP, judged_channels
 
 _COPIES = 4  # of the weights: their gradients, two moments and the last good state
 # Results of a layer that backpropagation holds: its own, rearranged, and after the activation.
@@ -193,7 +193,7 @@ def _networks(
     z = torch.empty(config.batch, generator.latent + generator.fractions, cells, cells, cells)
     if flat:
         slices = 3 * config.batch * (config.crop // STEP)
-        seen = seen_channels(config, channels)
+        seen = judged_channels(config, channels)
         crop = torch.empty(slices, seen, config.crop, config.crop)
         return generator, z, TwoScales(config.width, seen, axes=2), crop
     crop = torch.empty(config.batch, channels, config.crop, config.crop, config.crop)

@@ -19,7 +19,7 @@ from trabecula.core.seeds import key
 from trabecula.core.target import Target, porosity_of
 from trabecula.engine.blocks import Box
 from trabecula.engine.parallel import thread_count
-from trabecula.exemplar.sections import sections_apart
+from trabecula.exemplar.sections import gap_contradiction
 from trabecula.exemplar.views import spacing_of, views_of
 from trabecula.measure.disector import check_sections
 from trabecula.synth.api.exemplar_info import ExemplarInfo
@@ -69,8 +69,8 @@ class Gan(Method):
 
     def _check_exemplars(self, images: Sequence[Image]) -> None:
         if self.config.gap:
-            check_sections(images, self.config.gap)
-            if found := sections_apart(images, self.config.gap):
+            sections, gap = check_sections(images, self.config.gap)
+            if found := gap_contradiction(sections, gap):
                 notify(found)
         if all(image.ndim == 3 for image in images):
             if len(images) > 1:

@@ -192,10 +192,10 @@ def new_slice_discriminator(
     config: GanConfig, channels: int, views: Sequence[tuple[int, int]]
 ) -> SliceScales:
     """Build the discriminator of pictures with new weights."""
-    seen = seen_channels(config, channels)
+    seen = judged_channels(config, channels)
     return SliceScales(config.width, seen, [picture for _, picture in views])
 
 
-def seen_channels(config: GanConfig, channels: int) -> int:
+def judged_channels(config: GanConfig, channels: int) -> int:
     """Return the channels of what is judged: of pairs of sections those of both."""
     return 2 * channels if config.gap else channels
