@@ -129,9 +129,9 @@ def from_pictures() -> None:
     iterations (TRABECULA_BENCH_ITERATIONS): three samples of 96^3 beside the scan's middle and its
     last, and two that are asked for its porosity; figures as of `image_truth`, surface per voxel.
     Before them the spread of fractions around cells that the picture implies, and the scan's.
-    TRABECULA_BENCH_GAP=3 adds a second section so many voxels from the first,
-    TRABECULA_BENCH_PICTURES=3 (without a gap) takes the middle slices across all axes. Pictures
-    and models are kept with --out.
+    TRABECULA_BENCH_GAP=3 adds a second section so many voxels from the first, or more of them
+    (TRABECULA_BENCH_SECTIONS=6), TRABECULA_BENCH_PICTURES=3 (without a gap) takes the middle slices
+    across all axes. Pictures and models are kept with --out.
     """
     iterations, every = int((asked("ITERATIONS") or ["3000"])[0]), scans()
     gap, folder = int((asked("GAP") or ["0"])[0]), pictures()
@@ -142,7 +142,8 @@ def from_pictures() -> None:
         sides = [min(PICTURED_SIDE, have) for have in plain.shape]
         learnt = [take_slices(plain, plane, 1)[0] for plane in PLANES]
         if gap:
-            learnt = [learnt[0], section(plain, plain.shape[0] // 2 + gap)]
+            count = int((asked("SECTIONS") or ["2"])[0])
+            learnt = [section(plain, plain.shape[0] // 2 + gap * n) for n in range(count)]
         elif asked("PICTURES") != ["3"]:
             learnt = learnt[:1]
         model = tb.method("gan", iterations=iterations, minutes=0, gap=gap).fit(learnt)
