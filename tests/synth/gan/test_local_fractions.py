@@ -14,6 +14,7 @@ from trabecula.synth.api.exemplar_info import exemplar_info  # noqa: E402
 from trabecula.synth.gan import losses  # noqa: E402
 from trabecula.synth.gan.config import GanConfig  # noqa: E402
 from trabecula.synth.gan.crops import effective_config, exemplar_fields  # noqa: E402
+from trabecula.synth.gan.decode import rising_part  # noqa: E402
 from trabecula.synth.gan.local_fractions import LocalFractions, cell_means  # noqa: E402
 from trabecula.synth.gan.method import GanModel  # noqa: E402
 from trabecula.synth.gan.networks import new_generator  # noqa: E402
@@ -317,3 +318,16 @@ def test_a_field_of_porosity_is_followed_by_shipped_bone():
     made = tb.load_model("bone").generate((128, 96, 96), seed=1, target={"porosity": field})
     thirds = [1 - part.mean() for part in np.split(made.values[:126], 3)]
     assert thirds == pytest.approx([0.778, 0.834, 0.890], abs=0.025)
+
+
+def test_only_what_rises_around_the_mean_can_be_asked_for():
+    """A generator from six sections of Berea turned back where it was given little solid."""
+    asked = np.linspace(0.6, 0.94, 9)
+    made = [0.856, 0.840, 0.826, 0.814, 0.811, 0.820, 0.845, 0.893, 0.946]
+    found = rising_part(np.stack([asked, made]), 6)
+    assert found.tolist() == [asked[4:].tolist(), made[4:]]
+    assert rising_part(np.stack([asked, asked]), 4).shape == (2, 9)
+    bent = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.6, 0.7, 0.8]
+    assert rising_part(np.stack([asked, bent]), 4)[1].tolist() == bent[:6]
+    assert rising_part(np.stack([asked, bent]), 7)[1].tolist() == bent[6:]
+    assert rising_part(np.stack([asked, asked[::-1]]), 4).shape == (2, 1)

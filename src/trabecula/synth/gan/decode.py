@@ -234,7 +234,8 @@ def measure_response(
     out, (2, N) rising; of more phases (2, 0).
 
     With `drawn` the fractions vary as they do in unlimited material, around the one that is given:
-    what learnt from pictures has seen no place of an even fraction.
+    what learnt from pictures has seen no place of an even fraction. Only what rises around the
+    mean counts: far from it, where it has seen little, a generator may turn back.
     """
     if len(local.mean) > 1:
         return np.zeros((2, 0))
@@ -245,7 +246,15 @@ def measure_response(
         field = held_out_field(network, seed, _TILES, local=varied, everywhere=float(value))
         made.append(float((field[0] > calibration["offsets"][0]).mean()))
     asked = local.mean[0] + local.deviation[0] * given
-    return np.stack([asked, np.maximum.accumulate(made)])
+    return rising_part(np.stack([asked, made]), int(np.abs(given).argmin()))
+
+
+def rising_part(response: np.ndarray, middle: int) -> np.ndarray:
+    """Return the columns around the one in the middle whose last row rises, (2, N)."""
+    falls = np.flatnonzero(np.diff(response[1]) <= 0)
+    first = max((place + 1 for place in falls if place < middle), default=0)
+    last = min((place for place in falls if place >= middle), default=response.shape[1] - 1)
+    return response[:, first : last + 1]
 
 
 def held_out_field(
