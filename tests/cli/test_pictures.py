@@ -104,6 +104,18 @@ def test_a_form_is_in_the_pictures_pixels(place):
     assert plan["peak"] > np.prod(image.shape)
 
 
+@pytest.mark.whole
+def test_a_form_is_in_the_voxels_of_a_model_from_pictures(place):
+    """A model's file says no more of its pictures than what they were."""
+    trabecula("fit", "picture.tif", *METHOD, "--out", "kept.model")
+    output = trabecula(
+        "generate", "--model", "kept.model", "--mask", "ball.stl", "--out", "of.zarr"
+    )
+    image = tb.read("of.zarr")
+    assert image.spacing == (4, 4, 4) and all(18 <= side <= 20 for side in image.shape)
+    assert not image.values[0, 0, 0] and output.sha256
+
+
 def test_two_pictures_for_named_views(place):
     words = ("--shape", 16, "--set", "views=yx,zy")
     first, _ = generate(*words, exemplars=("picture.tif", "picture.tif"))

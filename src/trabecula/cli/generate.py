@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from trabecula.cli import options as shared
@@ -171,9 +172,8 @@ def prepare(options: argparse.Namespace) -> GenerateTask:
         check_fits(chosen, exemplars)
     voxel = _voxel(options) if chosen and exemplars is None else {}
     known = exemplars or ([without_exemplar(**voxel)] if model is None else list(model.facts))
-    settings = (chosen or model).config
-    seen = known[:1] if getattr(settings, "gap", 0) else known
-    parts = shared.load_parts(options, seen, shape, getattr(settings, "views", ()))
+    edges = partial(_edges, chosen, known) if model is None else lambda: model.spacing
+    parts = shared.load_parts(options, known, shape, edges)
     refined = parts.pop("shape", None)
     asked = _take_properties(parts["target"])
     if shape is None:
@@ -197,6 +197,14 @@ def _take_properties(targets: dict[str, Any]) -> dict[str, Any]:
     if asked:
         as_property(asked)
     return asked
+
+
+def _edges(method: Any, exemplars: list[Any]) -> tuple[float, ...]:
+    """Return the edges of the voxels that a method will make."""
+    from trabecula.pipeline.inputs import voxels_of
+
+    config = method.config
+    return voxels_of(exemplars, getattr(config, "views", ()), gap=getattr(config, "gap", 0))
 
 
 def _voxel(options: argparse.Namespace) -> dict[str, Any]:

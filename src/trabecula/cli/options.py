@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from trabecula.core.errors import InputError
@@ -197,10 +197,11 @@ def load_parts(
     options: argparse.Namespace,
     exemplars: list[Any],
     shape: tuple[int, ...] | None,
-    views: Any = (),
+    voxels: Callable[[], tuple[float, ...]],
 ) -> dict[str, Any]:
-    """Load mask, fixed, known, coarse, like and target of a request from their files; `views` are
-    the planes of pictures. Where a coarse scan alone says the shape, that is returned as "shape".
+    """Load mask, fixed, known, coarse, like and target of a request from their files; `voxels`
+    gives the edges of the result's. Where a coarse scan alone says the shape, that is returned as
+    "shape".
     """
     from trabecula.pipeline.inputs import (
         load_coarse,
@@ -208,14 +209,11 @@ def load_parts(
         load_mask,
         load_relative,
         refined_shape,
-        voxels_of,
     )
 
     found: dict[str, Any] = {"target": load_targets(options.target)}
     exemplar = exemplars[0]
-    spacing = (
-        None if options.mask is None and options.fixed is None else voxels_of(exemplars, views)
-    )
+    spacing = None if options.mask is None and options.fixed is None else voxels()
     scale = (
         None
         if options.mask_scale is None
@@ -244,8 +242,7 @@ def load_parts(
     if options.coarse is not None:
         found["coarse"] = load_coarse(options.coarse, exemplar)
         if shape is None:
-            edges = voxels_of(exemplars, views)
-            found["shape"] = refined_shape(found["coarse"], edges, exemplar.unit)
+            found["shape"] = refined_shape(found["coarse"], voxels(), exemplar.unit)
     if options.like is not None:
         found["like"] = load_relative(options.like, exemplar)
     return found

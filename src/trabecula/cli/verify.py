@@ -54,8 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=0,
         metavar="N",
-        help="the pictures are parallel sections, N pixels from one to the next, which decide on "
-        "the Euler number",
+        help="the pictures are parallel sections, N pixels from one to the next, which judge the "
+        "Euler number",
     )
     group = parser.add_argument_group("ensembles")
     group.add_argument(
@@ -92,8 +92,7 @@ def run(options: argparse.Namespace) -> int:
     sources = [options.exemplar, *options.pictures]
     exemplars = [shared.load_exemplar(source, options) for source in sources]
     views = [plane for word in options.views for plane in word.split(",")]
-    shown = exemplars[:1] if options.gap else exemplars
-    images = [_result(file, shown, views, options) for file in options.files]
+    images = [_result(file, exemplars, views, options) for file in options.files]
     names = [Path(file).name for file in options.files]
     wanted = {
         "r_max": options.r_max,
@@ -165,7 +164,7 @@ def _result(file: str, exemplars: list[Any], views: list[str], options: argparse
         }
         volume = slabs_like_if_large(file, exemplar, **memory)
     return (
-        load_like(file, exemplar, spacing=lambda: voxels_of(exemplars, views))
+        load_like(file, exemplar, spacing=lambda: voxels_of(exemplars, views, gap=options.gap))
         if volume is None
         else volume
     )

@@ -175,9 +175,11 @@ def _find_unstated(
     return {name: value for name, value in given.items() if value != getattr(image, name)}
 
 
-def voxels_of(exemplars: Sequence[Image], views: Sequence[str] = ()) -> tuple[float, ...]:
+def voxels_of(
+    exemplars: Sequence[Image], views: Sequence[str] = (), *, gap: int = 0
+) -> tuple[float, ...]:
     """Return the edges of a result's voxels along z, y, x: those of an exemplar volume, or of the
-    views that pictures show.
+    views that pictures show; `views` and `gap` as of `views_of`.
 
     Raises
     ------
@@ -187,7 +189,7 @@ def voxels_of(exemplars: Sequence[Image], views: Sequence[str] = ()) -> tuple[fl
     if exemplars[0].ndim == 3:
         return exemplars[0].spacing
     with listen(lambda label, fraction: None):  # the method reports on the views itself
-        return spacing_of(views_of(exemplars, views))
+        return spacing_of(views_of(exemplars, views, gap=gap))
 
 
 def load_mask(

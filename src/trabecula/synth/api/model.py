@@ -273,6 +273,11 @@ class Model(ABC):
             return np.dtype(np.uint8)
         return self.exemplars[0].values.dtype
 
+    @property
+    def spacing(self) -> tuple[float, ...]:
+        """Return the edges of a result's voxels, in the exemplar's unit."""
+        return tuple(self._result_fields()["spacing"])
+
     def output_bytes(self, request: Request) -> int:
         """Return the bytes of a result's values."""
         channels = 3 if self.facts[0].kind == "colour" else 1
@@ -357,7 +362,7 @@ class Model(ABC):
                 f"{request.shape}: give {axes[0]} numbers"
             )
         if self.exemplars:
-            check_exemplar(request, self.exemplars[0], spacing=self._result_fields()["spacing"])
+            check_exemplar(request, self.exemplars[0], spacing=self.spacing)
             self._check_target(request)
         if self.facts:
             self.fields(request)  # a form of other voxels is refused before any work
