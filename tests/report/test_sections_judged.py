@@ -9,7 +9,7 @@ from trabecula.errors import InputError
 from trabecula.measure import disector_along, disector_euler_density, euler_density
 from trabecula.report import verify
 from trabecula.report.metrics import find_descriptor
-from trabecula.report.sections import FIGURE, judge_sections
+from trabecula.report.sections import FIGURE, SectionJudge
 
 GAP = 2
 
@@ -58,7 +58,7 @@ def test_a_structure_that_slices_do_not_tell_apart_fails(sections):
 
 
 def test_the_band_is_that_of_parts_of_the_layers_between_sections(sections, volume):
-    low, high = judge_sections(sections, GAP, volume)[FIGURE].real_band
+    low, high = SectionJudge(sections, GAP).judge(volume)[FIGURE].real_band
     own = disector_euler_density(sections, gap=GAP)
     parts = [
         disector_euler_density(

@@ -16,42 +16,44 @@ FIGURE = "disector_euler_density"
 """What sections judge."""
 
 
-def judge_sections(
-    sections: Sequence[Image], gap: int, image: Image, *, trusted: bool = True
-) -> dict[str, Metric]:
-    """Judge the Euler number per volume of the solid by parallel sections.
+class SectionJudge:
+    """Parallel sections, measured once, that judge the Euler number per volume of the solid.
 
-    Both are measured from pairs of sections as far apart, so that what is too thin for the gap is
+    Volumes are measured from pairs of slices as far apart, so that what is too thin for the gap is
     missed in both. Parts of the sections say how much the estimate scatters.
 
     Parameters
     ----------
     sections : sequence of Image, (Y, X)
-        Two or more, `gap` pixels from one to the next.
+        Two or more of labels, `gap` pixels from one to the next.
     gap : int
-    image : Image, (Z, Y, X)
-        Pairs of its slices across all three axes are measured, where it has them.
     trusted : bool
-        Whether the sections may be as far apart as that; else the figures are shown alone.
-
-    Returns
-    -------
-    metrics : dict
-        Empty of images that are no labels, or have no side longer than the gap.
+        Whether the sections may be as far apart as that; else figures are shown alone.
     """
-    axes = [axis for axis in range(3) if image.shape[axis] > gap]
-    if image.kind != "labels" or not axes:
-        return {}
-    value = float(np.mean([disector_along(image, gap=gap, axis=axis) for axis in axes]))
-    edges, height = sections[0].spacing, gap * sections[0].spacing[0]
-    inside = np.stack([indicator(each, None)[1] for each in sections])
-    own = density_between(inside, edges, height=height)
-    boxes = part_boxes(sections[0].shape)
-    if len(boxes) < LEAST_COUNT or not trusted:
-        return {FIGURE: Metric(value, None, None, own)}
-    known = [density_between(inside[:, y, x], edges, height=height) for y, x in boxes]
-    layers = gap * (len(sections) - 1)
-    part = layers * float(np.prod([each.stop - each.start for each in boxes[0]]))
-    sizes = Sizes(part, layers * float(np.prod(sections[0].shape)), float(np.prod(image.shape)))
-    reach = value_reach(known, sizes)
-    return {FIGURE: Metric(value, (own - reach, own + reach), abs(value - own) <= reach, own)}
+
+    def __init__(self, sections: Sequence[Image], gap: int, *, trusted: bool = True) -> None:
+        edges, boxes = sections[0].spacing, part_boxes(sections[0].shape)
+        inside, height = np.stack([indicator(each, None)[1] for each in sections]), gap * edges[0]
+        self.gap, self.own = gap, density_between(inside, edges, height=height)
+        self.known: list[float] = []
+        """Of the parts; none where nothing is judged."""
+        if len(boxes) >= LEAST_COUNT and trusted:
+            self.known = [density_between(inside[:, y, x], edges, height=height) for y, x in boxes]
+            layers = gap * (len(sections) - 1)
+            self._part = layers * float(np.prod([each.stop - each.start for each in boxes[0]]))
+            self._whole = layers * float(np.prod(sections[0].shape))
+
+    def judge(self, image: Image) -> dict[str, Metric]:
+        """Judge a volume of labels by pairs of its slices across all axes that are longer than the
+        gap; nothing where none is.
+        """
+        axes = [axis for axis in range(3) if image.shape[axis] > self.gap]
+        if not axes:
+            return {}
+        value = float(np.mean([disector_along(image, gap=self.gap, axis=axis) for axis in axes]))
+        if not self.known:
+            return {FIGURE: Metric(value, None, None, self.own)}
+        sizes = Sizes(self._part, self._whole, float(np.prod(image.shape)))
+        reach = value_reach(self.known, sizes)
+        low, high = self.own - reach, self.own + reach
+        return {FIGURE: Metric(value, (low, high), low <= value <= high, self.own)}

@@ -41,7 +41,7 @@ from trabecula.report.planes import (
     take_slices,
 )
 from trabecula.report.reference import Reference, try_coherence
-from trabecula.report.sections import FIGURE, judge_sections
+from trabecula.report.sections import FIGURE, SectionJudge
 from trabecula.report.stereology import (
     Joined,
     beyond,
@@ -75,7 +75,11 @@ def judge_volumes(
     """
     sections = pictures if gap else ()
     planes = slice_planes(pictures, views, gap=gap)
-    contradiction = gap_contradiction(sections, gap) if sections else None
+    contradiction, by_sections = None, None
+    if sections:
+        contradiction = gap_contradiction(sections, gap)
+        if sections[0].kind == "labels":
+            by_sections = SectionJudge(sections, gap, trusted=contradiction is None)
     pictures = [plane.picture for plane in planes]
     for image, name in zip(images, names, strict=True):
         check_volume(image, pictures, views, name)
@@ -93,8 +97,8 @@ def judge_volumes(
             metrics |= judge.judge(image)
         whole, details = _measure_volume(image, level, box)
         metrics |= whole
-        if sections:
-            metrics |= judge_sections(sections, gap, image, trusted=contradiction is None)
+        if by_sections is not None:
+            metrics |= by_sections.judge(image)
         joined: dict[str, Joined] = {}
         for judge in judges if whole else []:
             for ending, phase in judge.joined().items():
