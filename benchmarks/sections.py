@@ -9,8 +9,9 @@ import numpy as np
 import trabecula as tb
 from common import asked, table
 from descriptors import scans
+from trabecula.exemplar.sections import gap_contradiction
 from trabecula.report.metrics import Metric
-from trabecula.report.sections import FIGURE, judge_sections
+from trabecula.report.sections import FIGURE, SectionJudge
 
 GAPS = (1, 2, 3, 4)
 PLACES = 12
@@ -26,9 +27,10 @@ JUDGED = ("soil, Otsu", "NMC", "Berea", "cement, Otsu")
 def sections() -> None:
     """Euler number of the solid per 1e6 voxels: of a scan, and by pairs of its sections along z at
     several gaps, mean and standard deviation; how many boxes of 96^3 of the scan, its middle and
-    its last, lie in the band of a pair of gap 2 or 3.
+    its last, lie in the band of a pair of gap 2 or 3, and of how many of these pairs the
+    correlations contradict the gap.
     """
-    heads = ("scan's", *(f"gap {gap}" for gap in GAPS), "in band")
+    heads = ("scan's", *(f"gap {gap}" for gap in GAPS), "in band", "contradicted")
     row = table("scan", *heads, wide=22)
     total = np.zeros(2, int)
     for name, scan in _labels():
@@ -38,14 +40,13 @@ def sections() -> None:
                 1e6 * tb.measure.disector_euler_density(pair, gap=gap) for pair in _pairs(scan, gap)
             ]
             cells.append(f"{np.mean(found):.0f} +- {np.std(found):.0f}")
-        passed = [
-            judge_sections(pair, gap, box)[FIGURE].passed
-            for gap in (2, 3)
-            for pair in _pairs(scan, gap)
-            for box in _boxes(scan)
-        ]
+        pairs = [(pair, gap) for gap in (2, 3) for pair in _pairs(scan, gap)]
+        judges = [SectionJudge(pair, gap) for pair, gap in pairs]
+        boxes = _boxes(scan)
+        passed = [judge.judge(box)[FIGURE].passed for judge in judges for box in boxes]
+        doubted = sum(gap_contradiction(pair, gap) is not None for pair, gap in pairs)
         total += sum(passed), len(passed)
-        row(name, *cells, f"{sum(passed)} of {len(passed)}")
+        row(name, *cells, f"{sum(passed)} of {len(passed)}", f"{doubted} of {len(pairs)}")
     print("in band: {} of {}".format(*total))
 
 
@@ -63,8 +64,9 @@ def section_verdicts() -> None:
         made = {"scan": tb.crop(scan, [min(SIDE, side) for side in scan.shape])}
         for method in asked("METHODS") or METHODS:
             made[method] = tb.method(method).fit(stack[0]).generate(SIDE, seed=1)
+        judges = [SectionJudge(stack[:count], GAP) for count in COUNTS]
         for word, volume in made.items():
-            found = [judge_sections(stack[:count], GAP, volume)[FIGURE] for count in COUNTS]
+            found = [judge.judge(volume)[FIGURE] for judge in judges]
             row(f"{name}: {word}", f"{1e6 * found[0].value:.0f}", *map(_shown, found))
 
 

@@ -11,9 +11,8 @@ from trabecula.core.image import Image
 from trabecula.measure.grey import grey_values
 
 _APART = 0.15
-"""Difference of correlations above which a gap is contradicted. Of pairs of five scans that are
-alike from all sides, 2 and 4 voxels apart, it is .12 at most; of bone, fibres and a weave up to .3
-to .9."""
+"""Difference of correlations above which a gap is contradicted: no pair of five scans that are
+alike from all sides reaches it (`trabecula bench sections`)."""
 
 _SURE = 3.0  # standard errors that it has to be at least
 _BLOCKS = 3  # along a side, whose scatter says the standard error
@@ -27,8 +26,8 @@ def gap_contradiction(sections: Sequence[Image], gap: int) -> str | None:
     where nothing is sure.
 
     In such a material points correlate by their distance alone: from section to section as within
-    one. A gap that is far off, sections that are not registered and a material with a direction
-    show.
+    one. A gap that is far off and sections that are not registered show; a direction of the
+    material only where it differs from the mean of rows and columns.
 
     Parameters
     ----------
