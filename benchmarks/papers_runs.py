@@ -9,6 +9,7 @@ import bubbles
 import bubbles_figures
 import by_example
 import gan
+import gan_ablation
 import gan_paper
 import graded
 import image
@@ -50,6 +51,7 @@ RUNS: dict[str, Callable[[], None]] = {
     "by_example_2021": by_example.by_example_2021,
     "gan_shipped": gan.shipped,
     "gan_speed": gan.speed,
+    "gan_losses": gan_ablation.materials,
     "gan_paper": _part(gan_paper.gan_paper, DEVICE="cuda", MINUTES="9", BATCH="16"),
     "heuristics": _part(image_paper.image_paper, ONLY="ceramics;composite;gravel"),
     "cooling": image_figures.image_cooling,

@@ -120,6 +120,7 @@ CASES: dict[str, Callable[[], None]] = {
     "gan_shipped": gan.shipped,
     "gan_speed": gan.speed,
     "gan_ablation": gan_ablation.ablation,
+    "gan_losses": gan_ablation.materials,
     "gan_smoke": gan.smoke,
     "gan_paper": gan_paper.gan_paper,
     "gan_weights": gan_weights.gan_weights,
