@@ -187,8 +187,7 @@ def _samples(learnt: tb.Image, iterations: int, settings: dict[str, Any]) -> lis
 def _costs(image: tb.Image, variants: Sequence[str]) -> list[float]:
     """Seconds of the processor that an iteration takes of each variant, warm-up included.
 
-    Taken in turns, so that what else the machine does slows all of them alike: equal time is then a
-    number of iterations.
+    The least of several turns: equal time is then a number of iterations.
     """
     import torch
 
@@ -204,7 +203,7 @@ def _costs(image: tb.Image, variants: Sequence[str]) -> list[float]:
             fields.crops(min(TABLE, 4 * one.config.batch), 0, 2**40), chunk=CHUNK
         )
     draw = torch.Generator().manual_seed(0)
-    spent = np.zeros((2, len(players)))
+    spent = np.full((2, len(players)), np.inf)
     for turn in range(2 + _TURNS):
         real = fields.crops(configs[0].batch, 0, turn)
         for number, one in enumerate(players):
@@ -213,7 +212,7 @@ def _costs(image: tb.Image, variants: Sequence[str]) -> list[float]:
                 busy(lambda p=one, r=real, t=turn: p.train_step(r, draw, t, 0.1)),
             )
             if turn >= 2:
-                spent[:, number] += warm[0] / _TURNS, play[0] / _TURNS
+                spent[:, number] = np.minimum(spent[:, number], (warm[0], play[0]))
     share = configs[0].warmup
     return list(share * spent[0].mean() + (1 - share) * spent[1])
 

@@ -90,6 +90,12 @@ def test_what_has_no_local_fractions_learns_without(exemplar):
     assert effective_config(GanConfig(), [exemplar]).fractions == 0
 
 
+def test_a_crop_that_holds_no_cell_with_all_around_it_learns_without():
+    small, whole = GanConfig(crop=32, discriminator="score"), GanConfig(crop=40)
+    assert effective_config(small, [tb.crop(BONE, 64)]).fractions == 0
+    assert effective_config(whole, [tb.crop(BONE, 64)]).fractions == 1
+
+
 def test_drawn_fractions_are_as_the_exemplars(local):
     drawn = local.draw(KEY, (0, 0, 0), (80, 80, 80), ENDLESS)[0]
     learnt = (smooth_field((40, 40, 40))[0] - local.mean[0]) / local.deviation[0]

@@ -88,8 +88,8 @@ class GanConfig:
     fractions: float = 1.0
     """Weight of the term by which the generator obeys the local fractions of the phases that it is
     given, 0 .. 1000: samples scatter as parts of the exemplar do, and a target porosity is
-    honoured. 0 gives it none. Of the sub-pixel generator, and labels of at least 64 voxels or
-    pixels a side; anything else learns without."""
+    honoured. 0 gives it none. Of the sub-pixel generator, labels of at least 64 voxels or pixels a
+    side, and crops of at least 40; anything else learns without."""
 
     gram: float = 0.0
     """Weight of the gram loss, 0 .. 1000. The paper's: 0.1."""

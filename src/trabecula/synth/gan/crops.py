@@ -24,6 +24,7 @@ from trabecula.synth.gan.slices import PictureFields, numbered_views
 from trabecula.synth.shared.content.fields import phase_fields, phases_present
 
 _LEAST = 64  # voxels or pixels a side: four cells whose surroundings are known
+_LEAST_CROP = CELL * (2 * REACH + 1)  # voxels: a cell and all that is around it
 _MARGIN = CELL * (HALO + REACH)  # voxels beyond a crop: the generator's halo, and around it
 _TAIL = 0.001  # share of grey values beyond each end of the range that is stretched over -1 .. 1
 
@@ -129,8 +130,9 @@ def exemplar_fields(image: Image, config: GanConfig) -> TrainingFields:
 
 
 def effective_config(config: GanConfig, images: Sequence[Image]) -> GanConfig:
-    """Return the config as its exemplars allow it: local fractions are those of labels, and of the
-    sub-pixel generator; pictures have no distances; orientations are chosen.
+    """Return the config as its exemplars allow it: local fractions are those of labels, of the
+    sub-pixel generator, and of crops that hold a cell and all around it; pictures have no
+    distances; orientations are chosen.
     """
     if images[0].ndim == 2:
         config = replace(config, clip=0.0)
@@ -141,6 +143,7 @@ def effective_config(config: GanConfig, images: Sequence[Image]) -> GanConfig:
         config = replace(config, orientations="all" if alike else "inverted")
     able = (
         config.generator == "subpixel"
+        and config.crop >= _LEAST_CROP
         and images[0].kind == "labels"
         and min(min(image.shape) for image in images) >= _LEAST
     )
