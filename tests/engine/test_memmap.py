@@ -2,6 +2,9 @@
 
 import errno
 import os
+import re
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -103,6 +106,27 @@ def test_slabs_are_a_share_of_all_arrays(tmp_path):
         assert memmap.slab_thickness(1000, 1) == 125
         del kept[0]
         assert memmap.slab_thickness(64, 1) == 64 // 4
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system tells what is resident")
+def test_pages_that_are_touched_in_no_order_are_released(tmp_path):
+    with memmap.map_large_arrays(tmp_path, memory=1 << 20):
+        values = memmap.empty((256, 256, 256), np.uint8)
+        values[...] = 1
+        memmap.release_pages()
+        for plane in np.random.default_rng(0).permutation(256):
+            values[plane, 100, 100] = 2
+            memmap.count_scattered(1)
+        assert _resident(tmp_path) <= 1 << 20
+        assert (values[:, 100, 100] == 2).all() and values.sum(dtype=np.int64) == values.size + 256
+        assert _resident(tmp_path) == values.nbytes  # they would stay
+
+
+def _resident(folder):
+    """Bytes of the files in a folder that this process holds."""
+    maps = re.split(r"\n(?=[0-9a-f]+-)", Path("/proc/self/smaps").read_text())
+    ours = [one for one in maps if str(folder) in one]
+    return sum(1024 * int(re.search(r"Rss: +(\d+)", one)[1]) for one in ours)
 
 
 @pytest.mark.parametrize("many", [True, False])

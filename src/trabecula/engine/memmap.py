@@ -23,7 +23,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, Protocol
 from uuid import uuid4
-from weakref import WeakKeyDictionary, finalize
+from weakref import WeakKeyDictionary, WeakSet, finalize
 
 import numpy as np
 
@@ -64,6 +64,8 @@ class _Scratch:
     thickest: int | None
     workers: MappedWorkers | None
     files: WeakKeyDictionary[mmap.mmap, tuple[Path, Any]] = field(default_factory=WeakKeyDictionary)
+    unread: WeakSet[mmap.mmap] = field(default_factory=WeakSet)
+    scattered: int = 0
     lock: Any = field(default_factory=Lock)
 
     def live(self) -> list[mmap.mmap]:
@@ -72,6 +74,9 @@ class _Scratch:
 
 
 _scratch: ContextVar[_Scratch | None] = ContextVar("trabecula_scratch", default=None)
+
+_AROUND = 1 << 17
+"""Bytes that become resident, at most, where a few voxels of a plane are touched."""
 
 _LEAST = 1 << 20
 """Bytes of memory-mapped arrays that are resident in any case."""
@@ -123,6 +128,7 @@ def empty(shape: Sequence[int] | int, dtype: Any, *, least: int | None = None) -
     memory = _create_file(path, size)
     with scratch.lock:
         scratch.files[memory] = path, finalize(memory, _remove, path)
+        scratch.unread.add(memory)
     return np.ndarray(shape, dtype, memory)
 
 
@@ -131,7 +137,11 @@ def _create_file(path: Path, size: int) -> mmap.mmap:
     try:
         with path.open("xb+") as file:
             _allocate(path, file.fileno(), size)
-            return mmap.mmap(file.fileno(), size)
+            memory = mmap.mmap(file.fileno(), size)
+        # Else the system caches it in pieces of up to a megabyte or more, and all of a piece is
+        # resident once a voxel of it is touched.
+        _advise(memory, "MADV_RANDOM")
+        return memory
     except BaseException:
         _remove(path)
         raise
@@ -229,10 +239,41 @@ def run_on_workers(work: Callable[[int, int], object], length: int) -> bool:
 def release_pages() -> None:
     """Release all pages; what was written stays in the files."""
     scratch = _scratch.get()
-    if scratch is None or not hasattr(mmap, "MADV_DONTNEED"):
+    for memory in [] if scratch is None else scratch.live():
+        _advise(memory, "MADV_DONTNEED")
+
+
+def read_ahead() -> None:
+    """Let the system read ahead in the files there are, once they are filled: where memory is short
+    they are read back from the disk.
+    """
+    scratch = _scratch.get()
+    if scratch is None or not scratch.unread:
         return
-    for memory in scratch.live():
-        memory.madvise(mmap.MADV_DONTNEED)
+    with scratch.lock:
+        filled = list(scratch.unread)
+        scratch.unread.clear()
+    for memory in filled:
+        _advise(memory, "MADV_NORMAL")
+
+
+def _advise(memory: mmap.mmap, name: str) -> None:
+    """Give the system this advice on a file, where it takes any."""
+    if hasattr(mmap, name):
+        memory.madvise(getattr(mmap, name))
+
+
+def count_scattered(planes: int) -> None:
+    """Count places that are touched in no order, by the planes in which they lie, and release all
+    pages before they may be more than the budget.
+    """
+    scratch = _scratch.get()
+    if scratch is None:
+        return
+    scratch.scattered += planes * _AROUND
+    if scratch.scattered > max(scratch.memory, _LEAST):
+        scratch.scattered = 0
+        release_pages()
 
 
 def _find_file(array: np.ndarray) -> tuple[mmap.mmap, Path] | None:

@@ -84,6 +84,7 @@ def for_slabs(
     count = min(thread_count(), max(1, length // least))
     with one_blas_thread():
         _run(_by_thickness(work, length, count), length, count, least)
+    memmap.read_ahead()
 
 
 def in_order(work: Callable[[int, int], object], length: int) -> None:

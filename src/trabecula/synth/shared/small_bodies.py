@@ -20,6 +20,7 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.seeds import generator
+from trabecula.engine import memmap
 from trabecula.engine.chunking import Box
 from trabecula.engine.memory import Array, Stage
 from trabecula.measure.labelling import label_components
@@ -314,6 +315,7 @@ class _Canvas:
         """Give a component to the commonest label around it."""
         low = np.maximum(box[:3] - 1, 0)
         sides = _sides(np.append(low, np.minimum(box[3:] + 1, self.values.shape)))
+        self._touch(sides[0][1] - sides[0][0])
         inside = components.labels(sides) == place
         window = tuple(slice(a, b) for a, b in sides)
         around = self.values[window][_dilate(inside, 1) & ~inside]
@@ -329,6 +331,7 @@ class _Canvas:
         covered, middle = np.argwhere(near), np.array(near.shape) // 2
         shell = ~inside[near]
         for _ in range(_TRIES):
+            self._touch(len(near))
             corner = draw.integers(0, self.values.shape) - middle
             at, kept = self._voxels(covered, corner)
             there = self.values[at]
@@ -340,6 +343,10 @@ class _Canvas:
             self._write(np.argwhere(inside), corner, label)
             return True
         return False
+
+    def _touch(self, planes: int) -> None:
+        """Count what a window of so many planes touches, of votes and of labels."""
+        memmap.count_scattered((len(self.votes) + 1) * planes)
 
     def _voxels(
         self, covered: np.ndarray, corner: np.ndarray
