@@ -6,9 +6,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
-from contextvars import ContextVar, copy_context
+from contextvars import ContextVar
 from functools import cache
 from itertools import pairwise
 from threading import Lock
@@ -16,6 +15,7 @@ from typing import Any, TypeVar
 
 from trabecula.core.errors import InputError
 from trabecula.engine import memmap
+from trabecula.engine.thread_pool import share_work
 
 T = TypeVar("T")
 
@@ -142,8 +142,4 @@ def _run(work: Callable[[int, int], object], length: int, count: int, least: int
     # Four slabs a thread even out slabs of unequal cost.
     pieces = min(4 * count, max(count, length // least))
     bounds = [length * i // pieces for i in range(pieces + 1)]
-    with ThreadPoolExecutor(count) as pool:
-        # Each in a copy of the caller's context: threads inside obey the same settings, progress
-        # reaches its listener.
-        for future in [pool.submit(copy_context().run, work, a, b) for a, b in pairwise(bounds)]:
-            future.result()
+    share_work(work, list(pairwise(bounds)), count)
