@@ -369,18 +369,18 @@ class PairCouplings:
         if domain is None:
             return 1.0
         marks = domain
-        shares = self._curve(lambda z: marks[z].astype(np.float32))
+        shares = self._curve(lambda a, b: marks[a:b].astype(np.float32))
         return np.maximum(shares, 1 / domain.size)
 
     def _channel_planes(
         self, levels: np.ndarray, domain: np.ndarray | None, channel: int
     ) -> Planes:
-        """Return a function that gives the values of a channel, plane by plane."""
+        """Return a function that gives some planes of the values of a channel."""
         values = np.ascontiguousarray(self._values[:, channel])
         if domain is None:
-            return lambda z: values[levels[z]]
+            return lambda a, b: values[levels[a:b]]
         marks = domain
-        return lambda z: np.where(marks[z], values[levels[z]], np.float32(0))
+        return lambda a, b: np.where(marks[a:b], values[levels[a:b]], np.float32(0))
 
 
 def _standardise(pictures: Pictures, features: np.ndarray) -> np.ndarray:

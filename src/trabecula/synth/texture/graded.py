@@ -162,14 +162,13 @@ class FractionTarget:
         ]
         free, wraps = region.free, region.wraps
 
-        everywhere = np.ones(region.shape[1:], bool)
+        def counts(start: int, stop: int) -> np.ndarray:
+            some = (stop - start, *region.shape[1:])
+            return np.ones(some, bool) if free is None else free[start:stop]
 
-        def counts(z: int) -> np.ndarray:
-            return everywhere if free is None else free[z]
-
-        def whole(z: int) -> np.ndarray:
-            near = fractions[places[0][z]][np.ix_(*places[1:])]
-            return np.rint(near * np.float32(_UNIT)).astype(np.int32) * counts(z)
+        def whole(start: int, stop: int) -> np.ndarray:
+            near = fractions[np.ix_(places[0][start:stop], *places[1:])]
+            return np.rint(near * np.float32(_UNIT)).astype(np.int32) * counts(start, stop)
 
         wanted, requested = window_sums_of_planes(whole, region.shape, width, wraps)
         counted, voxels = window_sums_of_planes(counts, region.shape, width, wraps)
@@ -199,32 +198,33 @@ class FractionTarget:
         def add(z: int, shift: np.ndarray) -> None:
             shifted[0, z] = np.clip(field[0, z] + shift, -127, 127)
 
-        self.step(lambda z: field[0, z], add)
+        self.step(lambda start, stop: field[0, start:stop], add)
         return shifted
 
     def step(
-        self, field: Callable[[int], np.ndarray], use: Callable[[int, np.ndarray], None]
+        self, field: Callable[[int, int], np.ndarray], use: Callable[[int, np.ndarray], None]
     ) -> None:
         """Take a step of Newton's method on the fractions around every voxel.
 
         Parameters
         ----------
         field : callable
-            Plane z (Y, X) of the field, in units of an int8 one.
+            Makes planes a..b (n, Y, X) of the field, in units of an int8 one.
         use : callable
             Takes z and what has to be added there, (Y, X) int16; called once a plane, after the
             last call of `field`.
         """
         region, width = self.region, self.width
 
-        def inside(z: int) -> np.ndarray:
-            return np.asarray(
-                field(z) > 0 if region.free is None else (field(z) > 0) & region.free[z]
-            )
+        def free(marked: np.ndarray, start: int) -> np.ndarray:
+            held = region.free
+            return marked if held is None else marked & held[start : start + len(marked)]
 
-        def beside(z: int) -> np.ndarray:
-            near = np.abs(field(z).astype(np.int16)) <= _NEAR
-            return np.asarray(near if region.free is None else near & region.free[z])
+        def inside(start: int, stop: int) -> np.ndarray:
+            return free(field(start, stop) > 0, start)
+
+        def beside(start: int, stop: int) -> np.ndarray:
+            return free(np.abs(field(start, stop).astype(np.int16)) <= _NEAR, start)
 
         work = Workspace(shift_stages(region.shape))
         work.enter("shift")
@@ -389,8 +389,8 @@ def _settle(field: np.ndarray, target: FractionTarget) -> None:
     """Take steps on a field (Z, Y, X) int32 of 256 parts to a unit, in place."""
     moved = memmap.zeros(field.shape, np.int16)
 
-    def round_plane(z: int) -> np.ndarray:
-        return np.clip((field[z] + 128) >> 8, -127, 127)
+    def round_planes(start: int, stop: int) -> np.ndarray:
+        return np.clip((field[start:stop] + 128) >> 8, -127, 127)
 
     def move(z: int, shift: np.ndarray) -> None:
         moved[z] >>= 1  # half of the last step again: what varies within a window is slow to come
@@ -399,7 +399,7 @@ def _settle(field: np.ndarray, target: FractionTarget) -> None:
         field[z] += moved[z]
 
     for _ in range(_LAST):
-        target.step(round_plane, move)
+        target.step(round_planes, move)
 
 
 @kernel

@@ -98,16 +98,16 @@ def density_slopes(
             directions=correlations.directions,
         )
         fits += pairs.fits
-        spectrum = pairs.forward(whole_blocks(g.__getitem__, shape, blocks))
+        spectrum = pairs.forward(whole_blocks(partial(_some_planes, g), shape, blocks))
         everywhere = pairs.forward(np.ones(shape, np.float32))
         weighted += pairs.curve(spectrum, everywhere) * pairs.fits
         alike += pairs.curve(spectrum, spectrum) * pairs.fits
         fraction += float(g.sum(where=field[0] > 0, dtype=np.float64)) / size
         for c, channel in enumerate(field):
             soft = Soft.of(channel, correlations.softness)
-            weighted_planes = partial(_weighted_plane, soft, g)
+            weighted_planes = partial(_weighted_planes, soft, g)
             moved = pairs.forward(whole_blocks(weighted_planes, shape, blocks))
-            still = pairs.forward(whole_blocks(soft.plane, shape, blocks))
+            still = pairs.forward(whole_blocks(soft.planes, shape, blocks))
             products[c] += pairs.curve(moved, still) * pairs.fits
             places = np.searchsorted(values, channel.ravel())
             shares[c] += np.bincount(places, g.ravel(), len(values)) / size
@@ -129,8 +129,12 @@ def density_slopes(
     )
 
 
-def _weighted_plane(soft: Soft, g: np.ndarray, z: int) -> np.ndarray:
-    return np.asarray(g[z] * soft.plane(z))
+def _some_planes(g: np.ndarray, start: int, stop: int) -> np.ndarray:
+    return g[start:stop]
+
+
+def _weighted_planes(soft: Soft, g: np.ndarray, start: int, stop: int) -> np.ndarray:
+    return np.asarray(g[start:stop] * soft.planes(start, stop))
 
 
 def density_weights(fields: Sequence[np.ndarray], width: int) -> list[np.ndarray]:

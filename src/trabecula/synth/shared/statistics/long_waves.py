@@ -16,13 +16,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from trabecula.engine.compile import inline, kernel
 from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.parallel import for_slabs, sum_slabs, thread_count
 from trabecula.synth.shared.box_sums import window_sums_of_planes
 from trabecula.synth.shared.content.fields import FULL, UNIT
+from trabecula.synth.shared.statistics.byte_tables import count_bytes, look_up_bytes
 
 _FIRST = 16  # voxels of the finest level: the smallest window, where the exemplar has room for it
 _PARTS = 6  # the smallest window is at most such a part of the exemplar's shortest side
@@ -166,25 +169,28 @@ def _widths(shortest: int, level: int) -> tuple[int, ...]:
     return tuple(sorted({w for w in widths if 2 * w <= shortest}))
 
 
-def _soft(values: np.ndarray, softness: float) -> np.ndarray:
-    """Return the soft indicator of values in int8 steps, 0 .. `_FINE` in whole numbers."""
+def _table(softness: float) -> np.ndarray:
+    """Return the soft indicator (256,) int32 of every byte of a field: 0 .. `_FINE` in whole
+    numbers.
+    """
+    values = np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float32)
     soft = values * np.float32(_FINE / softness) + np.float32(_FINE / 2)
     return np.rint(np.clip(soft, 0, _FINE, out=soft), out=soft).astype(np.int32)
-
-
-def _table(softness: float) -> np.ndarray:
-    """Return the soft indicator (256,) int32 of every byte of a field."""
-    return _soft(np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float32), softness)
 
 
 def _soft_window_sums(channel: np.ndarray, softness: float, width: int) -> tuple[np.ndarray, int]:
     """Sum the soft indicator of (Z, Y, X) int8 over windows, with nothing beyond the faces, and
     over everything.
     """
-    table = _table(softness)
-    return window_sums_of_planes(
-        lambda z: table[channel[z].view(np.uint8)], channel.shape, width, (False, False, False)
-    )
+    soft = partial(_soft_planes, channel, _table(softness))
+    return window_sums_of_planes(soft, channel.shape, width, (False, False, False))
+
+
+def _soft_planes(channel: np.ndarray, table: np.ndarray, start: int, stop: int) -> np.ndarray:
+    """Return the soft indicator of planes start..stop of (Z, Y, X) int8, int32."""
+    found = np.empty((stop - start, *channel.shape[1:]), np.int32)
+    look_up_bytes(channel[start:stop].view(np.uint8), table, found)
+    return found
 
 
 def _squares_of(
@@ -212,16 +218,14 @@ def _adjust(
     if "change" in work:
         work.release("change")
 
-    def soft(z: int) -> np.ndarray:
-        return np.asarray(table[field[z].view(np.uint8)])
-
-    moving = (
-        sum_slabs(lambda a, b: sum(_moving(soft(z)) for z in range(a, b)), len(field)) / field.size
-    )
+    everywhere = np.empty((0, 0, 0), bool)
+    counts = sum_slabs(lambda a, b: count_bytes(field[a:b].view(np.uint8), everywhere), len(field))
+    moving = int(counts[(table > 0) & (table < _FINE)].sum()) / field.size
     if not moving:
         return False
 
     def sums(name: str, width: int) -> int:
+        soft = partial(_soft_planes, field, table)
         found, total = window_sums_of_planes(soft, field.shape, width, wraps)
         work.adopt(name, found)
         return total
@@ -238,16 +242,7 @@ def _adjust(
     if "change" not in work:
         return False
     change, unit = work["change"], np.float32(UNIT * waves.softness)
-    limit = FULL * UNIT
-
-    def shift(start: int, stop: int) -> None:
-        for z in range(start, stop):
-            inside = soft(z)
-            step = np.clip(change[z], -_MOST, _MOST) * unit
-            step[(inside == 0) | (inside == _FINE)] = 0
-            votes[z] = np.clip(np.rint(votes[z] + step), -limit, limit)
-
-    for_slabs(shift, len(votes))
+    for_slabs(partial(_shift, votes, field.view(np.uint8), table, change, unit), len(votes))
     return True
 
 
@@ -262,10 +257,6 @@ def _add_band(
     if gain:
         change = work["change"] if "change" in work else work.zeros("change")
         band.add(change, np.float32(-gain / moving))
-
-
-def _moving(soft: np.ndarray) -> int:
-    return int(np.count_nonzero((soft > 0) & (soft < _FINE)))
 
 
 def _gain(wanted: float, found: float) -> float:
@@ -292,21 +283,10 @@ class _Band:
     wider_scale: float
     mean: float
 
-    def plane(self, z: int) -> np.ndarray:
-        """Return plane z (Y, X) float32."""
-        if self.wide is None:
-            return (self.narrow[z] * self.scale - self.mean).astype(np.float32)
-        return (self.narrow[z] * self.scale - self.wide[z] * self.wider_scale).astype(np.float32)
-
     def variance(self) -> float:
         """Return the mean square over everything."""
         squares = np.zeros(len(self.narrow))
-
-        def work(start: int, stop: int) -> None:
-            for z in range(start, stop):
-                squares[z] = (self.plane(z).astype(np.float64) ** 2).sum()
-
-        for_slabs(work, len(squares))
+        for_slabs(partial(_sum_squares, *self._parts, 0, squares), len(squares))
         return math.fsum(squares.tolist()) / self.narrow.size
 
     def squares_within(self, width: int) -> tuple[float, int]:
@@ -314,18 +294,64 @@ class _Band:
         their number.
         """
         low, sides = width // 2, self.narrow.shape
-        inner = tuple(slice(low, side - low) for side in sides[1:])
-        squares = [
-            float((self.plane(z)[inner].astype(np.float64) ** 2).sum())
-            for z in range(low, sides[0] - low)
-        ]
-        return math.fsum(squares), math.prod(side - 2 * low for side in sides)
+        squares = np.zeros(sides[0])
+        for_slabs(partial(_sum_squares, *self._parts, low, squares), len(squares))
+        inner = squares[low : sides[0] - low]
+        return math.fsum(inner.tolist()), math.prod(side - 2 * low for side in sides)
 
     def add(self, shift: np.ndarray, factor: np.float32) -> None:
         """Add the band, times a factor, to (Z, Y, X) float32."""
+        for_slabs(partial(_add_multiple, *self._parts, factor, shift), len(shift))
 
-        def work(start: int, stop: int) -> None:
-            for z in range(start, stop):
-                shift[z] += self.plane(z) * factor
+    @property
+    def _parts(self) -> tuple[np.ndarray, np.ndarray, float, float]:
+        """Return both sums and their scales; a mean as one sum of windows of everything."""
+        if self.wide is None:
+            return self.narrow, np.ones((1, 1, 1), np.int32), self.scale, self.mean
+        return self.narrow, self.wide, self.scale, self.wider_scale
 
-        for_slabs(work, len(shift))
+
+@inline
+def _difference(narrow, wide, scale, wider_scale, z, y, x):
+    """Return the band in a voxel."""
+    far = wide[0, 0, 0] if wide.size == 1 else wide[z, y, x]
+    return np.float32(narrow[z, y, x] * scale - far * wider_scale)
+
+
+@kernel
+def _sum_squares(narrow, wide, scale, wider_scale, rim, squares, start, stop):
+    """Write the sum of a band's squares in planes start..stop, without a rim of some voxels."""
+    for z in range(start, stop):
+        total = 0.0
+        for y in range(rim, narrow.shape[1] - rim):
+            for x in range(rim, narrow.shape[2] - rim):
+                value = np.float64(_difference(narrow, wide, scale, wider_scale, z, y, x))
+                total += value * value
+        squares[z] = total
+
+
+@kernel
+def _add_multiple(narrow, wide, scale, wider_scale, factor, shift, start, stop):
+    """Add a band times a factor to planes start..stop."""
+    for z in range(start, stop):
+        for y in range(narrow.shape[1]):
+            for x in range(narrow.shape[2]):
+                band = _difference(narrow, wide, scale, wider_scale, z, y, x)
+                shift[z, y, x] += band * factor
+
+
+@kernel
+def _shift(votes, field, table, change, unit, start, stop):
+    """Add a change to the votes of planes start..stop, where the soft indicator is neither 0 nor
+    whole.
+    """
+    most, limit = np.float32(_MOST), np.float32(FULL * UNIT)
+    for z in range(start, stop):
+        for y in range(votes.shape[1]):
+            for x in range(votes.shape[2]):
+                inside = table[field[z, y, x]]
+                if inside == 0 or inside == _FINE:
+                    continue
+                step = min(max(change[z, y, x], -most), most) * unit
+                moved = np.rint(np.float32(votes[z, y, x]) + step)
+                votes[z, y, x] = np.int16(min(max(moved, -limit), limit))

@@ -23,12 +23,14 @@ from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.numerics.transforms import fast_side
 
 # Arrays that another process may write (`anywhere`) are memory-mapped however small: `least` is 0.
-Planes = Callable[[int], np.ndarray]
-"""Plane z (Y, X) float32 of a field that never exists as a whole; several threads call it."""
+Planes = Callable[[int, int], np.ndarray]
+"""Makes planes a..b (n, Y, X) float32 of a field that never exists as a whole; several threads
+call it.
+"""
 
-# values that are worth a thread: transforms of less wait for the interpreter longer than they take
-_WORTH = 1 << 19
-_AT_ONCE = 1 << 13  # complex values that are transformed in one call, unless a plane has more
+# values that are worth a thread
+_WORTH = 1 << 16
+_AT_ONCE = 1 << 14  # complex values that are transformed in one call, unless a plane has more
 
 _CONE = np.cos(np.pi / 8) ** 2
 
@@ -48,11 +50,13 @@ def _enough(values: int) -> int:
     return max(8, _WORTH // values)
 
 
-def spans(start: int, stop: int, values: int) -> Iterator[tuple[int, int]]:
+def spans(
+    start: int, stop: int, values: int, *, at_once: int = _AT_ONCE
+) -> Iterator[tuple[int, int]]:
     """Yield parts of start..stop, so many at a time that calls cost little and stay in the cache:
-    of planes or rows of `values`.
+    of planes or rows of `values`, `at_once` of them.
     """
-    step = max(1, _AT_ONCE // max(1, values))
+    step = max(1, at_once // max(1, values))
     for first in range(start, stop, step):
         yield first, min(first + step, stop)
 
@@ -127,7 +131,7 @@ class Pairs:
         """Count the pairs in every bin, (bins,)."""
         if self.free is not None:
             free = self.free
-            spectrum = self.forward(lambda z: free[z].astype(np.float32))
+            spectrum = self.forward(lambda a, b: free[a:b].astype(np.float32))
             return np.maximum(self._by_length(np.rint(self._correlate(spectrum, spectrum))), 0)
         z, y, x = (
             np.full(len(offset), float(side)) if wrap else side - np.abs(offset).astype(float)
@@ -159,7 +163,7 @@ class Pairs:
         return (1 << 16) + thread_count() * 64 * together
 
     def forward(self, values: np.ndarray | Planes) -> np.ndarray:
-        """Transform (Z, Y, X) float32, given whole or as a function of z that makes each plane;
+        """Transform (Z, Y, X) float32, given whole or as a function that makes planes a..b;
         complex64.
         """
         depth, height, width = self.sides
@@ -211,13 +215,13 @@ class Pairs:
         half = np.append(weights, 0.0).astype(np.float32)[self.places]
         across = np.ix_(self.offsets[1] % height, self.offsets[2] % width)
 
-        def plane(dz: int) -> np.ndarray:
-            around = np.zeros((height, width), np.float32)
-            around[across] = half[dz]
+        def planes(start: int, stop: int) -> np.ndarray:
+            around = np.zeros((stop - start, height, width), np.float32)
+            around[:, across[0], across[1]] = half[start:stop]
             return around
 
         kernel = memmap.empty((len(half), height, width // 2 + 1), np.complex64, least=0)
-        _flat_transforms(plane, (height, width), kernel)
+        _flat_transforms(planes, (height, width), kernel)
         return kernel
 
     def _correlate(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -301,8 +305,7 @@ def _flat_transforms(
 
     def work(start: int, stop: int) -> None:
         for low, high in spans(start, stop, height * (width // 2 + 1)):
-            some = range(low, high)
-            planes = np.stack([values(z) if callable(values) else values[z] for z in some])
+            planes = values(low, high) if callable(values) else values[low:high]
             spectra[low:high] = np.fft.fft(np.fft.rfft(planes, width, axis=2), height, axis=1)
 
     for_slabs(work, len(spectra), least=_enough(height * width), anywhere=True)

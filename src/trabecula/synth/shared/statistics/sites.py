@@ -86,15 +86,8 @@ class Sites:
 
     def levels(self, field: np.ndarray) -> np.ndarray:
         """Round the votes (C, Z, Y, X) that the sites cover to int8."""
-        across = np.ix_(np.arange(len(field)), *self.places[1:])
         levels = memmap.empty((len(field), *map(len, self.places)), np.int8)
-
-        def work(start: int, stop: int) -> None:
-            for z in range(start, stop):
-                plane = (field[:, self.places[0][z]].astype(np.int32) + UNIT // 2) >> 8
-                levels[:, z] = np.clip(plane, -FULL, FULL, out=plane)[across]
-
-        for_slabs(work, levels.shape[1])
+        for_slabs(partial(_round_votes, field, *self.places, levels), levels.shape[1])
         return levels
 
     def rows(
@@ -203,6 +196,18 @@ def _holding(
 
     for_slabs(work, counts[0])
     return active
+
+
+@kernel
+def _round_votes(field, places_z, places_y, places_x, levels, start, stop):
+    """Round the votes at places along every axis to int8, planes start..stop of them."""
+    for c in range(len(levels)):
+        for z in range(start, stop):
+            for y in range(levels.shape[2]):
+                row = field[c, places_z[z], places_y[y]]
+                for x in range(levels.shape[3]):
+                    level = (np.int32(row[places_x[x]]) + UNIT // 2) >> 8
+                    levels[c, z, y, x] = min(max(level, -FULL), FULL)
 
 
 @kernel

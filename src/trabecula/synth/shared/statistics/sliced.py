@@ -151,16 +151,26 @@ def _write_means(
     field: np.ndarray, total: np.ndarray, votes: np.ndarray, free: np.ndarray | None
 ) -> np.ndarray:
     """Replace free voxels by the mean of the neighbourhoods that were put back there."""
-    replaced, limit = memmap.empty(field.shape, np.int16, least=0), FULL * UNIT
-
-    def work(start: int, stop: int) -> None:
-        for z in range(start, stop):
-            chosen = votes[z] > 0 if free is None else (votes[z] > 0) & free[z]
-            mean = total[:, z] // np.maximum(votes[z], 1)
-            replaced[:, z] = np.where(chosen, np.clip(mean, -limit, limit, out=mean), field[:, z])
-
+    replaced = memmap.empty(field.shape, np.int16, least=0)
+    where = np.empty((0, 0, 0), bool) if free is None else free
+    work = partial(_write_mean, field, total, votes, where, replaced)
     for_slabs(work, len(votes), anywhere=True)
     return replaced
+
+
+@kernel
+def _write_mean(field, total, votes, free, replaced, start, stop):
+    """Write planes start..stop; an empty `free` means everywhere."""
+    for c in range(len(field)):
+        for z in range(start, stop):
+            for y in range(votes.shape[1]):
+                for x in range(votes.shape[2]):
+                    count = votes[z, y, x]
+                    if count > 0 and (free.size == 0 or free[z, y, x]):
+                        mean = total[c, z, y, x] // count
+                        replaced[c, z, y, x] = min(max(mean, -FULL * UNIT), FULL * UNIT)
+                    else:
+                        replaced[c, z, y, x] = field[c, z, y, x]
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from functools import cached_property
 import numpy as np
 
 from trabecula.engine import memmap
+from trabecula.engine.compile import kernel
 from trabecula.engine.memory import Stage, Workspace
 from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.content.fields import UNIT, votes_of
@@ -107,22 +108,41 @@ class Doubled:
     def __len__(self) -> int:
         return self.shape[0]
 
-    def __getitem__(self, z: int) -> np.ndarray:
-        """Return plane z (Y, X)."""
-        (low, high), *across = self._pairs
-        plane = 3 * self.blocks[low[z]] + self.blocks[high[z]]
-        for axis, (near, far) in enumerate(across):
-            plane = 3 * plane.take(near, axis) + plane.take(far, axis)
-        return np.asarray(plane * np.float32(1 / 64))
+    def __getitem__(self, planes: slice) -> np.ndarray:
+        """Return some planes (n, Y, X)."""
+        found = np.empty((planes.stop - planes.start, *self.shape[1:]), np.float32)
+        along_z, along_y, along_x = self._pairs
+        _double(self.blocks, along_z, along_y, along_x, planes.start, found)
+        return found
 
     @cached_property
-    def _pairs(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return the block of every voxel along each axis, and the next nearest one."""
+    def _pairs(self) -> list[np.ndarray]:
+        """Return the block of every voxel along each axis, and the next nearest one, (2, n)."""
         voxels = [np.arange(side) for side in self.shape]
         return [
-            (at // 2, (at // 2 + np.where(at % 2, 1, -1)) % count)
+            np.stack([at // 2, (at // 2 + np.where(at % 2, 1, -1)) % count])
             for at, count in zip(voxels, self.blocks.shape, strict=True)
         ]
+
+
+@kernel
+def _double(blocks, along_z, along_y, along_x, start, found):
+    """Interpolate planes from `start` on between the middles of blocks."""
+    three = np.float32(3)
+    plane = np.empty(blocks.shape[1:], np.float32)
+    row = np.empty(blocks.shape[2], np.float32)
+    for n in range(len(found)):
+        near, far = blocks[along_z[0, start + n]], blocks[along_z[1, start + n]]
+        for y in range(plane.shape[0]):
+            for x in range(plane.shape[1]):
+                plane[y, x] = three * near[y, x] + far[y, x]
+        for y in range(found.shape[1]):
+            up, low = plane[along_y[0, y]], plane[along_y[1, y]]
+            for x in range(len(row)):
+                row[x] = three * up[x] + low[x]
+            for x in range(found.shape[2]):
+                value = three * row[along_x[0, x]] + row[along_x[1, x]]
+                found[n, y, x] = value * np.float32(1 / 64)
 
 
 def torus_step(
@@ -160,7 +180,7 @@ def torus_step(
         soft = Soft.of(channel, target.softness)
         work = Workspace(_stages(pairs))
         work.enter("compare")
-        spectrum = work.adopt("spectrum", pairs.forward(target.on_grid(soft.plane, channel.shape)))
+        spectrum = work.adopt("spectrum", pairs.forward(target.on_grid(soft.planes, channel.shape)))
         misfit = np.where(target.held, pairs.curve(spectrum, spectrum) - target.curves[c], 0.0)
         del spectrum
         if renew:
@@ -207,7 +227,7 @@ def _step(
     slope: Slopes = found if target.blocks == 1 else Doubled(found, soft.field.shape)
     direction = Direction.of(slope, soft, moving)
     work.enter("compare it")
-    work.adopt("change", pairs.forward(target.on_grid(direction.plane, soft.field.shape)))
+    work.adopt("change", pairs.forward(target.on_grid(direction.planes, soft.field.shape)))
     change = 2 * pairs.curve(work["spectrum"], work["change"])
     work.enter("take it")
     square = pairs.curve(work["change"], work["change"])

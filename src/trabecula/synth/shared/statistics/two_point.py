@@ -15,9 +15,11 @@ from functools import partial
 
 import numpy as np
 
+from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import sum_slabs
 from trabecula.synth.shared.content.fields import FULL
 from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.statistics.byte_tables import count_bytes, look_up_bytes
 from trabecula.synth.shared.statistics.long_waves import LongWaves
 from trabecula.synth.shared.statistics.pairs import AXES, Pairs, Planes
 
@@ -69,14 +71,12 @@ class BlockMeans:
     planes: Planes
     shape: tuple[int, ...]
 
-    def __call__(self, z: int) -> np.ndarray:
-        """Return plane z of blocks, float32."""
-        depth, height, width = self.shape
-        both = self.planes(2 * z) + self.planes(min(2 * z + 1, depth - 1))
-        if height % 2 or width % 2:
-            both = np.pad(both, ((0, height % 2), (0, width % 2)), mode="edge")
-        rows = both[::2] + both[1::2]
-        return np.asarray((rows[:, ::2] + rows[:, 1::2]) * np.float32(1 / 8))
+    def __call__(self, start: int, stop: int) -> np.ndarray:
+        """Return planes start..stop of blocks, float32."""
+        voxels = self.planes(2 * start, min(2 * stop, self.shape[0]))
+        means = np.empty((stop - start, *(-(-side // 2) for side in self.shape[1:])), np.float32)
+        _block_means(voxels, means)
+        return means
 
 
 def whole_blocks(planes: Planes, shape: Sequence[int], blocks: int) -> Planes:
@@ -89,8 +89,8 @@ def whole_blocks(planes: Planes, shape: Sequence[int], blocks: int) -> Planes:
     return BlockMeans(partial(_near_part, planes, sides[1], sides[2]), tuple(sides))
 
 
-def _near_part(planes: Planes, height: int, width: int, z: int) -> np.ndarray:
-    return planes(z)[:height, :width]
+def _near_part(planes: Planes, height: int, width: int, start: int, stop: int) -> np.ndarray:
+    return planes(start, stop)[:, :height, :width]
 
 
 def correlations_of(
@@ -132,7 +132,7 @@ def correlations_of(
         fits += pairs.fits
         for c, channel in enumerate(field):
             soft = Soft.of(channel, softness)
-            spectrum = pairs.forward(whole_blocks(soft.plane, shape, blocks))
+            spectrum = pairs.forward(whole_blocks(soft.planes, shape, blocks))
             sums[c] += pairs.curve(spectrum, spectrum) * pairs.fits
     curves = sums / np.maximum(fits, 1)
     return Correlations(curves, softness, steps, fits > 0, directions=directions, blocks=blocks)
@@ -210,18 +210,19 @@ class Soft:
         """Take a field with the width of the soft step in its int8 steps."""
         return cls(field, _table(softness), free)
 
-    def plane(self, z: int) -> np.ndarray:
-        """Return plane z (Y, X) float32."""
-        return self._look_up(self.table, z)
+    def planes(self, start: int, stop: int) -> np.ndarray:
+        """Return planes start..stop (n, Y, X) float32."""
+        return self._look_up(self.table, start, stop)
 
-    def interface(self, z: int) -> np.ndarray:
-        """Mark the voxels of plane z (Y, X) that are neither 0 nor 1, bool."""
-        return self._look_up((self.table > 0) & (self.table < 1), z)
+    def interface(self, start: int, stop: int) -> np.ndarray:
+        """Mark the voxels of planes start..stop (n, Y, X) that are neither 0 nor 1, bool."""
+        return self._look_up((self.table > 0) & (self.table < 1), start, stop)
 
-    def centre(self, mean: np.float32, z: int) -> np.ndarray:
-        """Return plane z less the mean, where it is free."""
-        soft = self.plane(z)
-        return np.subtract(soft, mean, out=soft, where=True if self.free is None else self.free[z])
+    def centre(self, mean: np.float32, start: int, stop: int) -> np.ndarray:
+        """Return planes start..stop less the mean, where they are free."""
+        soft = self.planes(start, stop)
+        free = True if self.free is None else self.free[start:stop]
+        return np.subtract(soft, mean, out=soft, where=free)
 
     def mean_and_moving(self) -> tuple[np.float32, int]:
         """Return the mean over the free voxels, and count the voxels of the interface."""
@@ -230,19 +231,32 @@ class Soft:
         moving = counts[(self.table > 0) & (self.table < 1)].sum()
         return np.float32(total / max(1, int(counts.sum()))), int(moving)
 
-    def _look_up(self, table: np.ndarray, z: int) -> np.ndarray:
-        found = table[self.field[z].view(np.uint8)]
-        return found if self.free is None else found * self.free[z]
+    def _look_up(self, table: np.ndarray, start: int, stop: int) -> np.ndarray:
+        found = np.empty((stop - start, *self.field.shape[1:]), table.dtype)
+        look_up_bytes(self.field[start:stop].view(np.uint8), table, found)
+        return found if self.free is None else found * self.free[start:stop]
 
     def _counts(self, start: int, stop: int) -> np.ndarray:
         """Count each byte in free voxels of these planes, (256,) int64."""
-        counts = np.zeros(256, np.int64)
-        for z in range(start, stop):
-            plane = self.field[z].view(np.uint8)
-            counts += np.bincount(
-                (plane if self.free is None else plane[self.free[z]]).ravel(), minlength=256
-            )
-        return counts
+        free = np.empty((0, 0, 0), bool) if self.free is None else self.free[start:stop]
+        return count_bytes(self.field[start:stop].view(np.uint8), free)
+
+
+@kernel
+def _block_means(voxels, means):
+    """Write the means over blocks of 2 x 2 x 2 voxels, repeating the last voxel where a block lacks
+    one.
+    """
+    depth, height, width = voxels.shape
+    for z in range(means.shape[0]):
+        near, far = voxels[2 * z], voxels[min(2 * z + 1, depth - 1)]
+        for y in range(means.shape[1]):
+            up, low = 2 * y, min(2 * y + 1, height - 1)
+            for x in range(means.shape[2]):
+                a, b = 2 * x, min(2 * x + 1, width - 1)
+                first = (near[up, a] + far[up, a]) + (near[low, a] + far[low, a])
+                second = (near[up, b] + far[up, b]) + (near[low, b] + far[low, b])
+                means[z, y, x] = (first + second) * np.float32(1 / 8)
 
 
 def _table(softness: float) -> np.ndarray:

@@ -26,7 +26,7 @@ import numpy as np
 from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.content.fields import FULL, UNIT, votes_of
-from trabecula.synth.shared.statistics.pairs import Pairs
+from trabecula.synth.shared.statistics.pairs import Pairs, spans
 from trabecula.synth.shared.statistics.two_point import Correlations, Soft
 
 # a misfit at distance r weighs 1 + (_SHORT / r)^2: what sets the surface is a few distances only
@@ -39,6 +39,7 @@ BANDS = (1, 2, 3, 5, 8, 12)
 """Where the bands of distances begin, voxels; the last one reaches to r_max."""
 
 _RIDGE = 1e-3
+_TOGETHER = 1 << 16  # voxels that are moved in one call, unless a plane has more
 _LENGTHS = np.arange(1, 33) / 16  # of a step, in steps of Gauss and Newton
 
 
@@ -68,7 +69,7 @@ def misfit(
     pairs, _ = _pairs(field.shape[1:], target, periodic, free)
     found = np.empty_like(target.curves)
     for c, channel in enumerate(field):
-        spectrum = pairs.forward(Soft.of(channel, target.softness, free).plane)
+        spectrum = pairs.forward(Soft.of(channel, target.softness, free).planes)
         found[c] = pairs.curve(spectrum, spectrum) - target.curves[c]
     return np.where((pairs.fits > 0) & target.held, found, 0.0)
 
@@ -154,10 +155,10 @@ def _pairs(
 
 
 class Slopes(Protocol):
-    """Planes (Y, X) float32 of a gradient: an array, or what makes them."""
+    """Planes (n, Y, X) float32 of a gradient, by slices: an array, or what makes them."""
 
     def __len__(self) -> int: ...
-    def __getitem__(self, z: int, /) -> np.ndarray: ...
+    def __getitem__(self, planes: slice, /) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)
@@ -172,9 +173,10 @@ class Direction:
     mean: np.float32
     soft: Soft
 
-    def plane(self, z: int) -> np.ndarray:
-        """Return plane z (Y, X) float32."""
-        return np.where(self.soft.interface(z), self.mean - self.slope[z], np.float32(0))
+    def planes(self, start: int, stop: int) -> np.ndarray:
+        """Return planes start..stop (n, Y, X) float32."""
+        down = self.mean - self.slope[start:stop]
+        return np.where(self.soft.interface(start, stop), down, np.float32(0))
 
     @classmethod
     def of(cls, slope: Slopes, soft: Soft, moving: int) -> Direction:
@@ -182,8 +184,9 @@ class Direction:
         sums = np.zeros(len(slope))
 
         def work(start: int, stop: int) -> None:
-            for z in range(start, stop):
-                sums[z] = (slope[z] * soft.interface(z)).sum(dtype=np.float64)
+            for low, high in spans(start, stop, soft.field[0].size, at_once=_TOGETHER):
+                pushed = slope[low:high] * soft.interface(low, high)
+                sums[low:high] = pushed.sum(axis=(1, 2), dtype=np.float64)
 
         for_slabs(work, len(slope))
         return cls(slope, np.float32(math.fsum(sums.tolist()) / moving), soft)
@@ -195,9 +198,12 @@ class Direction:
         limit = FULL * UNIT
 
         def work(start: int, stop: int) -> None:
-            for z in range(start, stop):
-                moved = votes[z] + self.plane(z) * length * unit
-                votes[z] = np.clip(np.rint(moved, out=moved), -limit, limit, out=moved)
+            for low, high in spans(start, stop, votes[0].size, at_once=_TOGETHER):
+                moved = self.planes(low, high)
+                moved *= length
+                moved *= unit
+                moved += votes[low:high]
+                votes[low:high] = np.clip(np.rint(moved, out=moved), -limit, limit, out=moved)
 
         for_slabs(work, len(votes))
 
@@ -213,7 +219,7 @@ def _step(
         return None
     work = Workspace(_stages(pairs, around))
     work.enter("compare it")
-    work.adopt("spectrum", pairs.forward(soft.plane))
+    work.adopt("spectrum", pairs.forward(soft.planes))
     r, weights = weigh_distances(pairs, target)
     excess = pairs.curve(work["spectrum"], work["spectrum"]) - aim
     work.adopt("centred", around.forward(partial(soft.centre, mean)))
@@ -224,7 +230,7 @@ def _step(
         work.enter("make a direction")
         direction = _direction(push, soft, moving, work["centred"], around, shortest)
         work.enter("transform it")
-        work.adopt("change", pairs.forward(direction.plane))
+        work.adopt("change", pairs.forward(direction.planes))
         del direction  # as large as the field
         work.enter("compare it")
         changes.append(2 * pairs.curve(work["spectrum"], work["change"]))
@@ -236,7 +242,7 @@ def _step(
     work.enter("make a direction")
     direction = _direction(push, soft, moving, work["centred"], around, shortest)
     work.enter("take it")
-    square = pairs.curve(*[work.adopt("change", pairs.forward(direction.plane))] * 2)
+    square = pairs.curve(*[work.adopt("change", pairs.forward(direction.planes))] * 2)
     return direction, np.float32(best_length(excess, change, square, weights))
 
 
