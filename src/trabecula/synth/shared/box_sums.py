@@ -118,22 +118,21 @@ def _slide(lines, along_first, width, wraps, start, stop):
 @kernel
 def _slide_last(lines, width, wraps, start, stop):
     """Write running sums along the last axis, in place."""
-    before, after = width // 2, width - width // 2
-    side = lines.shape[2]
-    line = np.empty(side, np.int32)
+    side, before = lines.shape[2], width // 2
+    line = np.zeros(side + width, np.int32)  # continued beyond both ends: there are no cases inside
     for n in range(start, stop):
         for m in range(lines.shape[1]):
             row = lines[n, m]
             for k in range(side):
-                line[k] = row[k]
+                line[before + k] = row[k]
+            if wraps:
+                for k in range(before):
+                    line[before - 1 - k] = row[(side - 1 - k) % side]
+                for k in range(width - before):
+                    line[before + side + k] = row[k % side]
             total = np.int32(0)
-            for k in range(-before, after):
-                total += line[k % side] if wraps else (line[k] if 0 <= k < side else 0)
+            for k in range(width):
+                total += line[k]
             for k in range(side):
                 row[k] = total
-                low, high = k - before, k + after
-                if wraps:
-                    total += line[high % side] - line[low % side]
-                else:
-                    total += line[high] if high < side else 0
-                    total -= line[low] if low >= 0 else 0
+                total += line[k + width] - line[k]

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trabecula.engine.compile import kernel
+from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs, sum_slabs
 from trabecula.synth.shared.content.fields import UNIT
 from trabecula.synth.shared.statistics.two_point import Correlations
@@ -86,21 +86,33 @@ def count_changes(votes, field, length, found, start, stop):
     the other side of 0.
     """
     channels, depth, height, width = votes.shape
-    near, far = np.int32(length), np.int32(_PARTS - length)
+    near, far = np.int32(length), np.int32((_PARTS - length) * UNIT)
+    plane, after = np.empty((height, width), np.uint8), np.empty((height, width), np.uint8)
     for c in range(channels):
+        _mark_inside(votes[c, start], field[c, start], near, far, plane)
         for z in range(start, stop):
+            count = 0
             for y in range(height):
+                for x in range(width - 1):
+                    count += plane[y, x] ^ plane[y, x + 1]
+            for y in range(height - 1):
                 for x in range(width):
-                    inside = near * votes[c, z, y, x] + far * UNIT * field[c, z, y, x] > 0
-                    if z + 1 < depth:
-                        v, f = votes[c, z + 1, y, x], field[c, z + 1, y, x]
-                        found[c] += inside != (near * v + far * UNIT * f > 0)
-                    if y + 1 < height:
-                        v, f = votes[c, z, y + 1, x], field[c, z, y + 1, x]
-                        found[c] += inside != (near * v + far * UNIT * f > 0)
-                    if x + 1 < width:
-                        v, f = votes[c, z, y, x + 1], field[c, z, y, x + 1]
-                        found[c] += inside != (near * v + far * UNIT * f > 0)
+                    count += plane[y, x] ^ plane[y + 1, x]
+            if z + 1 < depth:
+                _mark_inside(votes[c, z + 1], field[c, z + 1], near, far, after)
+                for y in range(height):
+                    for x in range(width):
+                        count += plane[y, x] ^ after[y, x]
+            found[c] += count
+            plane, after = after, plane
+
+
+@inline
+def _mark_inside(votes, field, near, far, inside):
+    """Mark the voxels of a plane above 0 after a part of a move."""
+    for y in range(inside.shape[0]):
+        for x in range(inside.shape[1]):
+            inside[y, x] = near * votes[y, x] + far * field[y, x] > 0
 
 
 @kernel
