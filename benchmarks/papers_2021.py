@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from gan_ablation import MATERIALS as MATERIALS_OF_LOSSES
 from papers_rows import LESS, Row, Section, spread
 from papers_saved import Saved, load
 
@@ -66,6 +67,7 @@ def sections() -> Iterator[Section]:
     yield _table_1_bone()
     yield _table_1_foam()
     yield _tables_2_and_3()
+    yield _losses()
     yield _speed()
 
 
@@ -217,6 +219,35 @@ def _material(name: str, way: str) -> list[str]:
     method, _, preset = way.partition(", ")
     label = f"`{method}`{', ' + preset if preset else ''}, {name}"
     return [label, error, distance, counts, counted, largest, real, seconds]
+
+
+def _losses() -> Section:
+    """Tables 2 and 3 with the paper's losses and without, on what trains on a processor."""
+    saved, rows = load("gan_losses"), []
+    ways = {"": "adversarial only", "+ gram": "+ gram", "+ gram + structural": "all"}
+    for material in MATERIALS_OF_LOSSES:
+        elsewhere = f"{material}, real elsewhere"
+        rows.append(
+            [
+                material,
+                *(saved.cell(f"{material}, {way}", "D2") for way in ways.values()),
+                saved.cell(elsewhere, "D2") if saved.has(elsewhere) else "",
+                *(saved.cell(f"{material}, {way}", "error %") for way in ways.values()),
+                *(_counted(saved, f"{material}, {way}") for way in (*ways.values(), "exemplar")),
+            ]
+        )
+    names = ("adversarial", "+ gram", "+ structural")
+    heads = (
+        "exemplar",
+        *(f"D2: {names[0]}", *names[1:], "real, elsewhere"),
+        *(f"porosity error %: {names[0]}", *names[1:]),
+        *(f"N_cc / N_f: {names[0]}", *names[1:], "exemplar"),
+    )
+    return Section("2021 tables 2 and 3, losses", ["gan_losses"], heads=heads, more=rows)
+
+
+def _counted(saved: Saved, row: str) -> str:
+    return f"{saved.cell(row, 'N_cc')}/{saved.cell(row, 'N_f')}"
 
 
 def _speed() -> Section:

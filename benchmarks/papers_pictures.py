@@ -50,6 +50,7 @@ KEPT: dict[str, dict[str, Sheet]] = {
     },
     "weights": {"2017-weights": Sheet(("texture-weights.png",), **FIRST)},
     "stills": {"2017-stills": Sheet(("2017-stills.png",))},
+    "gan_losses": {"2021-losses": Sheet(("gan-losses-bone-b.png", "gan-losses-Berea.png"))},
     "gan_paper": {"2021-full-width": Sheet(("training.png",), colours=64)},
     "by_example_2021": {"2021-curves": Sheet(("curves-bone-a.png",))},
     "gan_shipped": {
