@@ -1,9 +1,9 @@
 """Threads that stay and wait for pieces of work: to wake one takes a tenth of the time that it
 takes to start one, and much of a small volume's work is shorter than either.
 
-The thread that has the work does pieces of it as well, from the first on. So short work is over
-before others wake up, and nobody waits for a thread that is busy elsewhere: threads inside threads
-cannot lock each other out.
+The thread that has the work does pieces of it as well, from the first on, and those that wake up
+wake others while pieces are left. So short work is over before many are awake, and nobody waits for
+a thread that is busy elsewhere: threads inside threads cannot lock each other out.
 """
 
 from __future__ import annotations
@@ -16,19 +16,31 @@ from threading import Condition, Lock, Thread
 
 Piece = tuple[int, int]
 
+_WAKES = 2
+"""Threads that a thread wakes before it begins."""
+
 
 class _SharedWork:
     """Pieces that threads take one after the other, until none is left or one has failed."""
 
-    def __init__(self, work: Callable[[int, int], object], pieces: Sequence[Piece]) -> None:
+    def __init__(
+        self, work: Callable[[int, int], object], pieces: Sequence[Piece], threads: int
+    ) -> None:
         self._work: Callable[[int, int], object] | None = work
         self._pieces = list(reversed(pieces))
+        self._threads = threads
+        self._asleep = min(threads, len(pieces)) - 1
         self._running = 0
         self._error: BaseException | None = None
         self._changed = Condition()
 
     def take_pieces(self) -> None:
-        """Do pieces while there are any."""
+        """Wake others, and do pieces while there are any."""
+        with self._changed:
+            few = min(_WAKES, self._asleep, len(self._pieces))
+            self._asleep -= few
+        for _ in range(few):
+            _pool.call(self.take_pieces, most=self._threads - 1)
         while True:
             with self._changed:
                 if not self._pieces or self._work is None:
@@ -69,25 +81,31 @@ class _SharedWork:
 
 
 class _Pool:
-    """Threads that wait for work of this process."""
+    """Threads of this process that wait for calls."""
 
     def __init__(self) -> None:
         self._calls: SimpleQueue[Callable[[], object]] = SimpleQueue()
-        self._count = 0
         self._lock = Lock()
+        self._count = 0
+        self._free = 0  # threads that wait, less calls that none has taken yet
 
-    def call(self, job: Callable[[], object], times: int) -> None:
-        """Let so many threads call `job`, each in a copy of the caller's context."""
+    def call(self, job: Callable[[], object], *, most: int) -> None:
+        """Let a thread call `job` in a copy of the caller's context: one that waits, or a new one
+        unless there are `most`, or the first that is free.
+        """
+        context = copy_context()
+        self._calls.put(lambda: context.run(job))
         with self._lock:
-            while self._count < times:
-                self._count += 1
-                Thread(target=self._wait, name=f"trabecula-{self._count}", daemon=True).start()
-        for _ in range(times):
-            context = copy_context()
-            self._calls.put(lambda context=context: context.run(job))  # type: ignore[misc]
+            self._free -= 1
+            short = self._free < 0 and self._count < most
+            self._count += short
+        if short:
+            Thread(target=self._answer, name=f"trabecula-{self._count}", daemon=True).start()
 
-    def _wait(self) -> None:
+    def _answer(self) -> None:
         while True:
+            with self._lock:
+                self._free += 1
             call = self._calls.get()
             call()
             del call
@@ -113,8 +131,7 @@ def share_work(work: Callable[[int, int], object], pieces: Sequence[Piece], thre
     its listener. After an error no further piece is begun; it is raised once those that run have
     ended.
     """
-    shared = _SharedWork(work, pieces)
-    _pool.call(shared.take_pieces, min(threads, len(pieces)) - 1)
+    shared = _SharedWork(work, pieces, threads)
     try:
         shared.take_pieces()
     finally:
