@@ -199,12 +199,12 @@ class Pairs:
         along_z, along_y, along_x = (box_response(side, shorter_than) ** 2 for side in self.shape)
         along_x = along_x[: kernel.shape[2]]
 
-        def product(y: int) -> np.ndarray:
+        def product(low: int, high: int) -> np.ndarray:
             # a pair and its mirror image share a bin: planes -dz are the conjugates of planes dz
-            response = np.fft.hfft(kernel[:, y], depth, axis=0)
+            response = np.fft.hfft(kernel[:, low:high], depth, axis=0)
             if shorter_than:
-                response *= 1 - along_z[:, None] * (along_y[y] * along_x)
-            return spectrum[:, y] * response
+                response *= 1 - along_z[:, None, None] * (along_y[low:high, None] * along_x)
+            return spectrum[:, low:high] * response
 
         self._inverse(product, tuple(np.arange(side) for side in self.shape), values, anywhere=True)
         return values
@@ -227,8 +227,8 @@ class Pairs:
     def _correlate(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
         """Sum over all pairs of every offset, mean of both orders."""
 
-        def product(y: int) -> np.ndarray:
-            a, b = first[:, y], second[:, y]
+        def product(low: int, high: int) -> np.ndarray:
+            a, b = first[:, low:high], second[:, low:high]
             return a.real * b.real + a.imag * b.imag
 
         sums = np.empty(tuple(len(offset) for offset in self.offsets), np.float32)
@@ -237,14 +237,14 @@ class Pairs:
 
     def _inverse(
         self,
-        product: Callable[[int], np.ndarray],
+        product: Planes,
         places: Sequence[np.ndarray],
         values: np.ndarray,
         *,
         anywhere: bool = False,
     ) -> None:
-        """Transform back from planes product(y), into `values`: at some places along every axis
-        only.
+        """Transform back from rows product(low, high) (Z, n, X), into `values`: at some places
+        along every axis only.
 
         `anywhere` says that values may be written by another process.
         """
@@ -252,8 +252,9 @@ class Pairs:
         kept = memmap.empty((len(places[0]), height, width // 2 + 1), np.complex64, least=0)
 
         def lines(start: int, stop: int) -> None:
-            for y in range(start, stop):
-                kept[:, y] = _take(np.fft.ifft(product(y), axis=0), places[0], 0)
+            for low, high in spans(start, stop, depth * (width // 2 + 1)):
+                rows = np.fft.ifft(product(low, high), axis=0)
+                kept[:, low:high] = _take(rows, places[0], 0)
 
         for_slabs(lines, height, least=_enough(depth * width), anywhere=True)
         self._inverse_planes(kept, places, values, anywhere=anywhere)
