@@ -9,10 +9,10 @@ a thread that is busy elsewhere: threads inside threads cannot lock each other o
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable, Sequence
-from contextvars import copy_context
-from queue import SimpleQueue
-from threading import Condition, Lock, Thread
+from contextvars import Context, copy_context
+from threading import Condition, Thread
 
 Piece = tuple[int, int]
 
@@ -40,7 +40,7 @@ class _SharedWork:
             few = min(_WAKES, self._asleep, len(self._pieces))
             self._asleep -= few
         for _ in range(few):
-            _pool.call(self.take_pieces, most=self._threads - 1)
+            _pool.call(self, most=self._threads - 1)
         while True:
             with self._changed:
                 if not self._pieces or self._work is None:
@@ -62,10 +62,10 @@ class _SharedWork:
                     self._changed.notify_all()
 
     def finish(self) -> None:
-        """Wait for the pieces that others do; raise the first error.
-
-        What the work holds is let go, also where a thread wakes up later.
+        """Wait for the pieces that others do; raise the first error. Nothing of the work is held
+        afterwards.
         """
+        _pool.withdraw(self)
         while True:
             try:
                 with self._changed:
@@ -84,31 +84,38 @@ class _Pool:
     """Threads of this process that wait for calls."""
 
     def __init__(self) -> None:
-        self._calls: SimpleQueue[Callable[[], object]] = SimpleQueue()
-        self._lock = Lock()
-        self._count = 0
-        self._free = 0  # threads that wait, less calls that none has taken yet
+        self._calls: deque[tuple[_SharedWork, Context]] = deque()
+        self._changed = Condition()
+        self._count = self._waiting = 0
 
-    def call(self, job: Callable[[], object], *, most: int) -> None:
-        """Let a thread call `job` in a copy of the caller's context: one that waits, or a new one
-        unless there are `most`, or the first that is free.
+    def call(self, shared: _SharedWork, *, most: int) -> None:
+        """Let a thread take pieces of a work in a copy of the caller's context: one that waits, or
+        a new one unless there are `most`, or the first that is free.
         """
-        context = copy_context()
-        self._calls.put(lambda: context.run(job))
-        with self._lock:
-            self._free -= 1
-            short = self._free < 0 and self._count < most
+        with self._changed:
+            self._calls.append((shared, copy_context()))
+            short = self._waiting < len(self._calls) and self._count < most
             self._count += short
+            self._changed.notify()
         if short:
             Thread(target=self._answer, name=f"trabecula-{self._count}", daemon=True).start()
 
+    def withdraw(self, shared: _SharedWork) -> None:
+        """Take back the calls for a work that nobody has answered."""
+        with self._changed:
+            if self._calls:
+                self._calls = deque(call for call in self._calls if call[0] is not shared)
+
     def _answer(self) -> None:
         while True:
-            with self._lock:
-                self._free += 1
-            call = self._calls.get()
-            call()
-            del call
+            with self._changed:
+                self._waiting += 1
+                while not self._calls:
+                    self._changed.wait()
+                self._waiting -= 1
+                shared, context = self._calls.popleft()
+            context.run(shared.take_pieces)
+            del shared, context
 
 
 _pool = _Pool()

@@ -152,7 +152,7 @@ def peaks_of(lengths, folder):
         [tuple(range(size)) for _ in range(2500)]
     peaks = []
     for length in (lengths[-1], *lengths):
-        with slabs(Path(folder)):
+        with slabs(Path(folder)), tb.threads(1):  # several may hold a cut each, or not
             request = tb.Request((length, 24, 24), seed=1, target={"volume_fraction": 0.5})
             peaks.append(peak_bytes(lambda request=request: model.make_with_trace(request)))
     return peaks[1:]

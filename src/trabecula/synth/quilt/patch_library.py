@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.compile import kernel
+from trabecula.engine.parallel import for_items
 from trabecula.fields.local import windowed
 from trabecula.measure.labelling import label_components
 from trabecula.numerics.bits import count_bits
@@ -335,9 +337,9 @@ def mismatches(words: PackedLabels, query: OverlapQuery, at: np.ndarray) -> np.n
     `at` (int64): equation (5).
     """
     found = np.zeros(len(at), np.int32)
-    _count_mismatches(
-        words.wide, words.narrow, query.offsets, query.narrow, query.bits, query.masks, at, found
-    )
+    overlap = query.offsets, query.narrow, query.bits, query.masks
+    count = partial(_count_mismatches, words.wide, words.narrow, *overlap, at, found)
+    for_items(count, len(at), least=_AT_A_TIME)
     return found
 
 
@@ -365,13 +367,13 @@ def _pack_words(layers, plane, rows, columns, words):
 
 
 @kernel
-def _count_mismatches(wide, narrow, offsets, is_narrow, bits, masks, at, found):
-    """Count mismatches word by word for some candidates at a time, so that a word is one simple
-    loop over counts that stay in the cache.
+def _count_mismatches(wide, narrow, offsets, is_narrow, bits, masks, at, found, start, stop):
+    """Count mismatches of candidates start..stop word by word, for some of them at a time, so that
+    a word is one simple loop over counts that stay in the cache.
     """
     planes = len(bits)
-    for begin in range(0, len(at), _AT_A_TIME):
-        end = min(begin + _AT_A_TIME, len(at))
+    for begin in range(start, stop, _AT_A_TIME):
+        end = min(begin + _AT_A_TIME, stop)
         for w in range(len(offsets)):
             offset, mask, first = offsets[w], masks[w], bits[0, w]
             table = narrow if is_narrow[w] else wide

@@ -23,6 +23,7 @@ from trabecula.core.seeds import key
 from trabecula.core.target import Target
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.memory import Array, Stage, Workspace
+from trabecula.engine.parallel import for_items
 from trabecula.synth.quilt.candidates import (
     SCALE,
     WEIGHT,
@@ -512,11 +513,20 @@ class PatchChooser:
             if not len(batch):
                 return
             left -= len(batch)
-            windows, costs = zip(
-                *(self._cut_in_at(place, int(found.at[n]), LEAST) for n in batch), strict=True
-            )
+            windows, costs = self._cut_in_each(place, found.at[batch])
             for k in np.argsort(costs, kind="stable"):
                 yield int(batch[k]), windows[k]
+
+    def _cut_in_each(self, place: PatchSite, at: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+        """Cut candidates in, each for itself; return the windows and the costs of the cuts."""
+        windows, costs = [place.old] * len(at), np.zeros(len(at), np.int64)
+
+        def work(start: int, stop: int) -> None:
+            for k in range(start, stop):
+                windows[k], costs[k] = self._cut_in_at(place, int(at[k]), LEAST)
+
+        for_items(work, len(at))
+        return windows, costs
 
     def _cut_in_at(self, place: PatchSite, at: int, keep: int) -> tuple[np.ndarray, int]:
         """Cut a candidate in along its seam; return the window and the cost of the cut."""
