@@ -88,11 +88,10 @@ def for_slabs(
 
 
 def for_items(work: Callable[[int, int], object], count: int, *, least: int = 1) -> None:
-    """Call `work(start, stop)` on parts of a list of `count` items as `for_slabs` does on slabs,
-    where the list is in memory: no pages are released.
+    """Call `work(start, stop)` on parts of a list of `count` items as `for_slabs` does on slabs.
+    The list is in memory: no pages are released. BLAS is not called.
     """
-    with one_blas_thread():
-        _run(work, count, min(thread_count(), max(1, count // least)), least)
+    _run(work, count, min(thread_count(), max(1, count // least)), least)
 
 
 def in_order(work: Callable[[int, int], object], length: int) -> None:
