@@ -115,7 +115,7 @@ def test_pages_that_are_touched_in_no_order_are_released(tmp_path):
         values[...] = 1
         memmap.release_pages()
         for plane in np.random.default_rng(0).permutation(256):
-            values[plane, 100, 100] = 2
+            values[plane, 100, 100] += 1
             memmap.count_scattered(1)
         assert _resident(tmp_path) <= 1 << 20
         assert (values[:, 100, 100] == 2).all() and values.sum(dtype=np.int64) == values.size + 256

@@ -92,16 +92,25 @@ def test_an_interruption_waits_for_those_who_work():
 
 
 def test_nothing_of_the_work_is_held_afterwards():
+    """Also where the other threads are busy elsewhere and have not heard of it."""
+    hold, held = threading.Event(), threading.Semaphore(0)
+
+    def busy(start, stop):
+        held.release()
+        hold.wait(20)
+
+    others = threading.Thread(target=share_work, args=(busy, PIECES[:9], 9))
+    others.start()
+    for _ in range(9):
+        assert held.acquire(timeout=20)
     array = np.zeros(3)
     gone = weakref.ref(array)
     share_work(lambda a, b, array=array: array.sum(), [(0, 1), (1, 2)], 2)
     del array
-    for _ in range(200):
-        gc.collect()
-        if gone() is None:
-            break
-        time.sleep(0.01)
+    gc.collect()
     assert gone() is None
+    hold.set()
+    others.join()
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
