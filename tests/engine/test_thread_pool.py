@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 import weakref
+from contextvars import ContextVar, copy_context
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import trabecula as tb
 from trabecula.engine.parallel import for_slabs
 from trabecula.engine.thread_pool import share_work
 
+VARIABLE = ContextVar("variable")
 PIECES = [(n, n + 1) for n in range(24)]
 
 
@@ -103,12 +105,16 @@ def test_nothing_of_the_work_is_held_afterwards():
     others.start()
     for _ in range(9):
         assert held.acquire(timeout=20)
-    array = np.zeros(3)
-    gone = weakref.ref(array)
-    share_work(lambda a, b, array=array: array.sum(), [(0, 1), (1, 2)], 2)
-    del array
+
+    def inside():
+        array, named = np.zeros(3), np.zeros(4)
+        VARIABLE.set(named)
+        share_work(lambda a, b: array.sum(), [(0, 1), (1, 2)], 2)
+        return weakref.ref(array), weakref.ref(named)
+
+    refs = copy_context().run(inside)
     gc.collect()
-    assert gone() is None
+    assert [ref() for ref in refs] == [None, None]
     hold.set()
     others.join()
 
