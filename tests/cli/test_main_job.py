@@ -331,6 +331,14 @@ def test_plan_tells_and_makes_nothing(place):
     assert set(place.iterdir()) == before
 
 
+@pytest.mark.whole
+def test_plan_says_nothing_of_the_volumes_that_it_tries(place, monkeypatch):
+    monkeypatch.setattr("trabecula.synth.texture.method.off_line", lambda figures: "everything")
+    words = ("sample:bone", "--method", "texture", "--shape", 40)
+    assert "own spread: everything" in trabecula("generate", *words, "--out", "new.npy").err
+    assert "own spread" not in trabecula("plan", *words).err
+
+
 def test_methods_and_samples_are_listed():
     methods = json.loads(trabecula("methods", "--json").out)
     assert set(methods) == set(tb.methods()) and methods["texture"]["exemplar"] == "3d"

@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from math import prod
 from typing import TYPE_CHECKING
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trabecula.core.errors import InputError, MemoryBudgetError, RequestError
+from trabecula.core.progress import listen
 from trabecula.core.request import Request
 from trabecula.engine.chunking import Box, boxes_of
 from trabecula.engine.memory import Plan, available_memory, check_budget, format_bytes
@@ -211,9 +212,18 @@ def _try_seconds(model: Model, request: Request, blocks: BlockPlan | None) -> fl
     with suppress(RequestError):  # no volume that small
         if not request.is_tied:
             return seconds_of_whole(
-                lambda shape: model.generate(replace(request, shape=shape)), request.shape
+                lambda shape: _try_shape(model, replace(request, shape=shape)), request.shape
             )
     return None
+
+
+def _try_shape(model: Model, request: Request) -> None:
+    """Make a volume for its seconds alone: what is said of larger ones than the first, which loads
+    kernels, is said of no result.
+    """
+    first = max(request.shape) <= _EDGES[0]
+    with nullcontext() if first else listen(lambda label, fraction: None):
+        model.generate(request)
 
 
 def seconds_of(
