@@ -84,7 +84,6 @@ def for_slabs(
     count = min(thread_count(), max(1, length // least))
     with one_blas_thread():
         _run(_by_thickness(work, length, count), length, count, least)
-    memmap.read_ahead()
 
 
 def for_items(work: Callable[[int, int], object], count: int, *, least: int = 1) -> None:
