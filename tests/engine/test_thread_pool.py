@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 import weakref
+from contextlib import suppress
 from contextvars import ContextVar, copy_context
 
 import numpy as np
@@ -91,6 +92,27 @@ def test_an_interruption_waits_for_those_who_work():
     with pytest.raises(KeyboardInterrupt):
         share_work(work, [(0, 1), (1, 2)], 2)
     assert len(ended) == 1
+
+
+def test_nothing_of_work_that_failed_is_held_afterwards():
+    class Large:
+        pass
+
+    large = Large()
+    gone = weakref.ref(large)
+
+    def fails(start, stop, large=large):
+        raise ZeroDivisionError
+
+    gc.collect()
+    gc.disable()
+    try:
+        with suppress(ZeroDivisionError):
+            share_work(fails, PIECES, 2)
+        del large, fails
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 def test_nothing_of_the_work_is_held_afterwards():

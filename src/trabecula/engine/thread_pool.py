@@ -60,24 +60,30 @@ class _SharedWork:
                     self._pieces.clear()
                 if not self._running:
                     self._changed.notify_all()
+            del error  # whose traceback holds this call
 
     def finish(self) -> None:
         """Wait for the pieces that others do; raise the first error. Nothing of the work is held
         afterwards.
         """
         _pool.withdraw(self)
-        while True:
+        waiting = True
+        while waiting:
             try:
                 with self._changed:
                     while self._running:
                         self._changed.wait()
-                    self._work = None
-                break
-            except KeyboardInterrupt as interrupt:  # of this thread: the others end their pieces
+                waiting = False
+            except KeyboardInterrupt as interrupt:  # the others end their pieces, unless it is told
+                waiting = not isinstance(self._error, KeyboardInterrupt)  # a second time
                 self._error = interrupt
                 self._pieces.clear()
-        if self._error is not None:
-            raise self._error
+        error, self._error, self._work = self._error, None, None
+        try:
+            if error is not None:
+                raise error
+        finally:
+            del error  # whose traceback holds this call
 
 
 class _Pool:
