@@ -31,7 +31,8 @@ from steps.cache import ExampleCache
 DOCS = Path(__file__).resolve().parent
 README = DOCS.parent / "README.md"
 GENERATED = ("methods", "reference")
-NOT_PAGES = ("_build", "steps", "made")
+NOT_PAGES = ("_build", "steps", "made", "gallery")
+"""Folders without examples to run: the gallery, drawn later, shows parts of those that drew it."""
 FAILED = DOCS / "_build" / "failed.json"
 ROOT = DOCS.parent
 SOURCES = (ROOT / "src" / "trabecula", DOCS / "examples", DOCS / "steps")
@@ -87,7 +88,7 @@ def write_failures(failures: dict[str, str], path: Path) -> None:
 
 
 def list_pages() -> list[Path]:
-    """List every page of the documentation, the generated ones included."""
+    """List the pages whose examples are run, generated ones included."""
     return sorted(
         path for path in DOCS.rglob("*.md") if path.relative_to(DOCS).parts[0] not in NOT_PAGES
     )
