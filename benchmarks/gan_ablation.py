@@ -89,19 +89,17 @@ def ablation() -> None:
         learnt = tb.crop(scan, LEARNT, corner=(0, 0, 0))
         costs = _costs(learnt, list(VARIANTS))
         row = table(name, "ms an iter.", "iterations", *_FIGURES, "paper's bone", wide=18)
-        last = min(scan.shape) - SIDE
-        corners = [corner for corner in product((0, last), repeat=3) if any(corner)]
         row(
             "scan elsewhere",
             "",
             "",
-            *_means(learnt, [tb.crop(scan, SIDE, corner=corner) for corner in corners]),
+            *_means(learnt, _corners(scan)),
             "",
         )
         shown = {"exemplar": tb.crop(learnt, SIDE)}
         for (variant, (settings, paper)), cost in zip(VARIANTS.items(), costs, strict=True):
             iterations = round(most * min(costs) / cost)
-            made = _samples(learnt, iterations, settings)
+            made = _samples(variant, learnt, iterations, settings)
             if not made:
                 continue
             row(variant, f"{1000 * cost:.0f}", iterations, *_means(learnt, made), paper)
@@ -133,7 +131,7 @@ def materials() -> None:
             _paper_row(row, f"{name}, real elsewhere", "", parts)
         for variant, cost in zip(PAIRED, costs, strict=True):
             iterations = round(most * min(costs) / cost)
-            made = _samples(learnt, iterations, VARIANTS[variant][0])
+            made = _samples(variant, learnt, iterations, VARIANTS[variant][0])
             if not made:
                 row(f"{name}, {variant}", iterations, "failed", *[""] * (len(heads) - 1))
                 continue
@@ -172,14 +170,16 @@ def _paper_row(row: Any, name: str, iterations: object, found: Sequence[Figures]
     )
 
 
-def _samples(learnt: tb.Image, iterations: int, settings: dict[str, Any]) -> list[tb.Image]:
+def _samples(
+    variant: str, learnt: tb.Image, iterations: int, settings: dict[str, Any]
+) -> list[tb.Image]:
     """Train, and make samples; none where the training failed, which is printed."""
     try:
         model = tb.method(
             "gan", minutes=0, iterations=iterations, looks=4, device="cpu", **settings
         ).fit(learnt)
     except TrainingError as error:
-        tell(error)
+        tell(variant, error)
         return []
     return [model.generate(SIDE, seed=seed) for seed in range(SAMPLES)]
 

@@ -18,6 +18,10 @@ def rods(side, period, width, *, seed=None):
     return tb.Image(values, "labels", phases=("void", "solid"))
 
 
+def figures_of(own, result):
+    return own.compare(result, result.values)
+
+
 @pytest.fixture(scope="module")
 def own():
     found = OwnFigures.of(rods(48, 12, 6, seed=1), box=48)
@@ -26,11 +30,11 @@ def own():
 
 
 def test_another_sample_is_not_off(own):
-    assert off_line(own.compare(rods(48, 12, 6, seed=2))) == ""
+    assert off_line(figures_of(own, rods(48, 12, 6, seed=2))) == ""
 
 
 def test_thicker_rods_are_named_with_their_ratio(own):
-    figures = own.compare(rods(48, 16, 8, seed=2))
+    figures = figures_of(own, rods(48, 16, 8, seed=2))
     assert figures["thickness"].is_off
     assert figures["thickness"].value == pytest.approx(8 / 6, abs=0.05)
     assert f"thickness {figures['thickness'].value:.2f} times" in off_line(figures)
@@ -49,18 +53,18 @@ def test_a_ratio_is_off_beyond_three_spreads_and_a_twentieth():
 
 
 def test_samples_of_more_voxels_spread_less(own):
-    small = own.compare(rods(48, 12, 6, seed=2))["two-point function"].spread
-    large = OwnFigures.of(rods(48, 12, 6, seed=1), box=96).compare(rods(96, 12, 6, seed=2))
+    small = figures_of(own, rods(48, 12, 6, seed=2))["two-point function"].spread
+    large = figures_of(OwnFigures.of(rods(48, 12, 6, seed=1), box=96), rods(96, 12, 6, seed=2))
     assert large["two-point function"].spread == pytest.approx(small * np.sqrt((1 + 1 / 8) / 2))
 
 
 def test_what_is_too_small_or_holds_a_phase_here_and_there_only_is_not_measured(own):
     assert OwnFigures.of(rods(24, 12, 6), box=48) is None
-    assert own.compare(rods(24, 12, 6)) == {}
+    assert figures_of(own, rods(24, 12, 6)) == {}
     one_corner = rods(48, 12, 6).values.copy()
     one_corner[:8, :8, :8] = 2
     image = tb.Image(one_corner, "labels", phases=("void", "solid", "grain"))
-    names = OwnFigures.of(image, box=48).compare(image)
+    names = figures_of(OwnFigures.of(image, box=48), image)
     assert "thickness of solid" in names
     assert not any("grain" in name for name in names)
 

@@ -13,7 +13,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from typing import NamedTuple, TypeVar
 
@@ -193,6 +193,11 @@ def listen(listener: Listener) -> Iterator[None]:
         yield
     finally:
         _listener.reset(token)
+
+
+def silence() -> AbstractContextManager[None]:
+    """Send the progress of everything inside the block, and its lines of text, to nobody."""
+    return listen(lambda label, fraction: None)
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import Any
 from trabecula.core.checks import as_path_text, as_shape, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, declare_fields, default_phases
-from trabecula.core.progress import listen, notify
+from trabecula.core.progress import notify, silence
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.exemplar.crop import crop as cut_box
 from trabecula.exemplar.fetch import fetch
@@ -188,7 +188,7 @@ def voxels_of(
     """
     if exemplars[0].ndim == 3:
         return exemplars[0].spacing
-    with listen(lambda label, fraction: None):  # the method reports on the views itself
+    with silence():  # the method reports on the views itself
         return spacing_of(views_of(exemplars, views, gap=gap))
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trabecula.core.errors import InputError, MemoryBudgetError, RequestError
-from trabecula.core.progress import listen
+from trabecula.core.progress import silence
 from trabecula.core.request import Request
 from trabecula.engine.chunking import Box, boxes_of
 from trabecula.engine.memory import Plan, available_memory, check_budget, format_bytes
@@ -222,7 +222,7 @@ def _try_shape(model: Model, request: Request) -> None:
     kernels, is said of no result.
     """
     first = max(request.shape) <= _EDGES[0]
-    with nullcontext() if first else listen(lambda label, fraction: None):
+    with nullcontext() if first else silence():
         model.generate(request)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.core.progress import listen
+from trabecula.core.progress import silence
 from trabecula.exemplar.views import PLANES, View, as_axis, views_of
 from trabecula.measure.correlation import decay_length, two_point
 from trabecula.measure.correlation.axis_preference import (
@@ -71,7 +71,7 @@ def slice_planes(
 def find_views(pictures: Sequence[Image], views: Sequence[str], *, gap: int = 0) -> Sequence[View]:
     """Return the views of pictures, without a word on other views that may suit them better."""
     # that other views may suit a picture better is for methods to say
-    with listen(lambda label, fraction: None):
+    with silence():
         return views_of(pictures, views, gap=gap)
 
 

@@ -10,9 +10,8 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
-from trabecula.engine.parallel import for_slabs, sum_slabs
-
-_TOGETHER = 1 << 17  # voxels that are made in one call, unless a plane has more
+from trabecula.engine.parallel import for_slabs
+from trabecula.synth.shared.slabs import tally_by_slabs
 
 
 def window_sums(values: np.ndarray, width: int, wraps: tuple[bool, ...]) -> np.ndarray:
@@ -33,17 +32,13 @@ def window_sums_of_planes(
     """
     total = memmap.empty(shape, np.int32)
 
-    def work(start: int, stop: int) -> int:
-        found = 0
-        few = max(1, _TOGETHER // total[0].size)
-        for low in range(start, stop, few):
-            planes = total[low : min(low + few, stop)]
-            planes[:] = values(low, low + len(planes))
-            found += int(planes.sum(dtype=np.int64))
+    def work(start: int, stop: int) -> np.ndarray:
+        total[start:stop] = values(start, stop)
+        found = total[start:stop].sum(dtype=np.int64)
         _slide_in_planes(total, width, wraps, start, stop)
-        return found
+        return np.asarray(found)
 
-    found = sum_slabs(work, len(total))
+    found = int(tally_by_slabs(work, shape))
     _slide_across(total, width, wraps)
     return total, found
 

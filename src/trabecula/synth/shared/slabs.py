@@ -20,11 +20,13 @@ AT_ONCE = 1 << 18
 """Voxels: what NumPy makes of so many in between is small, and still in the cache."""
 
 
-def for_plane_groups(work: Callable[[int, int], object], shape: Sequence[int]) -> None:
-    """Call `work` on groups of planes of (..., Z, Y, X) that hold `AT_ONCE` voxels at most, by
+def for_plane_groups(
+    work: Callable[[int, int], object], shape: Sequence[int], *, at_once: int = AT_ONCE
+) -> None:
+    """Call `work` on groups of planes of (..., Z, Y, X) that hold `at_once` voxels at most, by
     `for_slabs`.
     """
-    thick = _thickness(shape)
+    thick = _thickness(shape, at_once)
 
     def pieces(start: int, stop: int) -> None:
         for first in range(start, stop, thick):
@@ -66,8 +68,8 @@ def tally_by_slabs(tally: Callable[[int, int], np.ndarray], shape: Sequence[int]
     return np.asarray(sum_slabs(pieces, shape[-3]))
 
 
-def _thickness(shape: Sequence[int]) -> int:
-    return max(1, AT_ONCE // max(1, shape[-2] * shape[-1]))
+def _thickness(shape: Sequence[int], at_once: int = AT_ONCE) -> int:
+    return max(1, at_once // max(1, shape[-2] * shape[-1]))
 
 
 def intersection(first: np.ndarray | None, second: np.ndarray | None) -> np.ndarray | None:

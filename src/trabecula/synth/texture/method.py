@@ -25,7 +25,6 @@ from trabecula.core.request import Request
 from trabecula.core.target import FRAME, frame_of, porosity_of
 from trabecula.engine.memory import Array, Stage, forecast, resident, within
 from trabecula.exemplar.target import check_target_porosity
-from trabecula.measure.centre_crop import centre
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.shared import novel_layout
 from trabecula.synth.shared.coarse_to_fine import levels_for, levels_that_fit
@@ -365,9 +364,7 @@ class TextureModel(Model):
         """
         if not self._compares(request) or self._own_figures is None:
             return {}
-        # A copy of the part that is looked at: of a memory-mapped result all would be resident.
-        middle = centre(values, [min(self._figure_box, side) for side in values.shape]).copy()
-        return self._own_figures.compare(with_values(self.exemplars[0], middle))
+        return self._own_figures.compare(self.exemplars[0], values)
 
     def _compares(self, request: Request) -> bool:
         alone = len(self.exemplars) == 1 and isinstance(self.content, Labels)

@@ -87,7 +87,7 @@ class OwnFigures:
         """Measure an exemplar of labels; None where it is too small."""
         if min(exemplar.shape) < _LEAST:
             return None
-        middle = _middle(exemplar, box)
+        middle = _middle(exemplar, box, exemplar.values)
         parts = [_part(middle, corner) for corner in product((0, 1), repeat=3)]
         names = _names(exemplar, parts)
         reach = min(_REACH, min(middle.shape) // 4)
@@ -100,13 +100,13 @@ class OwnFigures:
             spreads[name] = math.hypot(*apart) / math.sqrt(len(apart))
         return cls(names, box, own, spreads, curves, middle.values.size)
 
-    def compare(self, result: Image) -> dict[str, Figure]:
-        """Return the figures of a result by name; empty where it is too small, and without those
-        that say nothing.
+    def compare(self, exemplar: Image, values: np.ndarray) -> dict[str, Figure]:
+        """Return the figures of the values of a result by name; empty where it is too small, and
+        without those that say nothing. No more of them than their centre is read.
         """
-        if min(result.shape) < _LEAST:
+        if min(values.shape) < _LEAST:
             return {}
-        middle = _middle(result, self.box)
+        middle = _middle(exemplar, self.box, values)
         scale = math.sqrt((1 + self.size / middle.values.size) / 8)
         told = {name: spread * scale for name, spread in self.spreads.items()}
         told = {name: spread for name, spread in told.items() if spread < _VAGUE}
@@ -191,9 +191,9 @@ def _spread(values: Sequence[float]) -> float:
     return float(np.std(values, ddof=1)) / mean if mean else math.inf
 
 
-def _middle(image: Image, box: int) -> Image:
-    sides = [min(side, box) for side in image.shape]
-    return with_values(image, np.ascontiguousarray(centre(image.values, sides)))
+def _middle(image: Image, box: int, values: np.ndarray) -> Image:
+    sides = [min(side, box) for side in values.shape]
+    return with_values(image, np.ascontiguousarray(centre(values, sides)))
 
 
 def _part(image: Image, corner: Sequence[int]) -> Image:

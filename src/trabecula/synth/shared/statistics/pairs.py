@@ -50,13 +50,11 @@ def _enough(values: int) -> int:
     return max(8, _WORTH // values)
 
 
-def spans(
-    start: int, stop: int, values: int, *, at_once: int = _AT_ONCE
-) -> Iterator[tuple[int, int]]:
+def spans(start: int, stop: int, values: int) -> Iterator[tuple[int, int]]:
     """Yield parts of start..stop, so many at a time that calls cost little and stay in the cache:
-    of planes or rows of `values`, `at_once` of them.
+    of planes or rows of `values`.
     """
-    step = max(1, at_once // max(1, values))
+    step = max(1, _AT_ONCE // max(1, values))
     for first in range(start, stop, step):
         yield first, min(first + step, stop)
 

@@ -24,9 +24,9 @@ from typing import Protocol
 import numpy as np
 
 from trabecula.engine.memory import Array, Stage, Workspace
-from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.content.fields import FULL, UNIT, votes_of
-from trabecula.synth.shared.statistics.pairs import Pairs, spans
+from trabecula.synth.shared.slabs import for_plane_groups
+from trabecula.synth.shared.statistics.pairs import Pairs
 from trabecula.synth.shared.statistics.two_point import Correlations, Soft
 
 # a misfit at distance r weighs 1 + (_SHORT / r)^2: what sets the surface is a few distances only
@@ -184,11 +184,10 @@ class Direction:
         sums = np.zeros(len(slope))
 
         def work(start: int, stop: int) -> None:
-            for low, high in spans(start, stop, soft.field[0].size, at_once=_TOGETHER):
-                pushed = slope[low:high] * soft.interface(low, high)
-                sums[low:high] = pushed.sum(axis=(1, 2), dtype=np.float64)
+            pushed = slope[start:stop] * soft.interface(start, stop)
+            sums[start:stop] = pushed.sum(axis=(1, 2), dtype=np.float64)
 
-        for_slabs(work, len(slope))
+        for_plane_groups(work, soft.field.shape, at_once=_TOGETHER)
         return cls(slope, np.float32(math.fsum(sums.tolist()) / moving), soft)
 
     def take(self, length: np.float32, unit: np.float32, votes: np.ndarray) -> None:
@@ -198,14 +197,13 @@ class Direction:
         limit = FULL * UNIT
 
         def work(start: int, stop: int) -> None:
-            for low, high in spans(start, stop, votes[0].size, at_once=_TOGETHER):
-                moved = self.planes(low, high)
-                moved *= length
-                moved *= unit
-                moved += votes[low:high]
-                votes[low:high] = np.clip(np.rint(moved, out=moved), -limit, limit, out=moved)
+            moved = self.planes(start, stop)
+            moved *= length
+            moved *= unit
+            moved += votes[start:stop]
+            votes[start:stop] = np.clip(np.rint(moved, out=moved), -limit, limit, out=moved)
 
-        for_slabs(work, len(votes))
+        for_plane_groups(work, votes.shape, at_once=_TOGETHER)
 
 
 def _step(
