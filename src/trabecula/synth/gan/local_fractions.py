@@ -42,6 +42,7 @@ _LEAST_SPREAD = 0.25  # of that of the windows of a picture, which is greater th
 _LEVELS = 65  # of the distribution's table
 _WHOLE = 1 << 10  # what stands for the largest weight of the filter
 _CORRECTIONS = 20  # of the filter's spectrum
+_HALVINGS = 40  # of an interval of a few deviations
 
 
 @dataclass(frozen=True)
@@ -183,6 +184,36 @@ class LocalFractions:
         return ((np.interp(fraction, got, asked) - self.mean[0]) / self.deviation[0]).astype(
             np.float32
         )
+
+    def around(
+        self, drawn: np.ndarray, fraction: float, weights: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Shift what was drawn so that `fraction` of the higher of two phases comes out on average.
+
+        Places that would be given more or less than the response knows are given the last that it
+        knows, so that little varies near an end of `range`.
+
+        Parameters
+        ----------
+        drawn : (Z, Y, X) array
+            Deviations from the mean.
+        fraction : float
+        weights : (Z, Y, X) array, optional
+            How much each place counts. Default: all alike.
+
+        Returns
+        -------
+        (Z, Y, X) float32 array
+            In deviations from the mean.
+        """
+        asked, got = self.response
+        known = (asked - self.mean[0]) / self.deviation[0]
+        low, high = known[0] - drawn.max(), known[-1] - drawn.min()
+        for _ in range(_HALVINGS):
+            shift = (low + high) / 2
+            made = np.average(np.interp(drawn + shift, known, got), weights=weights)
+            low, high = (low, shift) if made > fraction else (shift, high)
+        return np.clip(drawn + (low + high) / 2, known[0], known[-1]).astype(np.float32)
 
     @property
     def range(self) -> tuple[float, float]:

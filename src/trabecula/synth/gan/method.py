@@ -272,11 +272,7 @@ class GanModel(WindowModel):
             return draw
         field_in(porosity, box)  # which refuses a box that leaves the field
         if self._wanted is None or self._wanted[0] is not request:
-            cells = self._cells_of(porosity, request)
-            if self._from_pictures:  # it has seen no place of an even fraction
-                varied = draw((0, 0, 0), cells.shape)[0]
-                cells = cells + (varied - varied.mean())
-            self._wanted = request, cells
+            self._wanted = request, self._cells_of(porosity, request, draw)
         wanted = self._wanted[1]
 
         def given(corner: tuple[int, ...], sides: tuple[int, ...]) -> np.ndarray:
@@ -292,15 +288,24 @@ class GanModel(WindowModel):
 
         return given
 
-    def _cells_of(self, porosity: Target, request: Request) -> np.ndarray:
-        """Return what to give each cell of a request, so that the target comes out."""
+    def _cells_of(self, porosity: Target, request: Request, draw: Given) -> np.ndarray:
+        """Return what to give each cell of a request, so that the target comes out: a field in
+        every place, one number on average, around which fractions vary as they do without.
+        """
         assert self.local is not None
-        cell = self.config.cell
-        if isinstance(porosity, np.ndarray):
+        cell, by_place = self.config.cell, isinstance(porosity, np.ndarray)
+        if by_place:
             means = cell_means(porosity, cell, inside=request.mask)
         else:
             means = np.full([-(-side // cell) for side in request.shape], porosity)
-        return self.local.given(means if self._void_is_higher() else 1 - means)
+        fractions = means if self._void_is_higher() else 1 - means
+        if by_place and not self._from_pictures:
+            return self.local.given(fractions)
+        varied = draw((0, 0, 0), fractions.shape)[0]
+        if self._from_pictures:  # it has seen no place of an even fraction
+            return self.local.given(fractions) + (varied - varied.mean())
+        inside = None if request.mask is None else cell_means(request.mask, cell)
+        return self.local.around(varied, float(fractions.flat[0]), inside)
 
     def _void_is_higher(self) -> bool:
         """Tell whether the higher of the two labels is the void's."""
