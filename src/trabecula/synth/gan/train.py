@@ -84,6 +84,7 @@ class _Training:
         self.evaluator = Evaluator(config, images, fields)
         self.state = self.evaluator.resume(self.pair)
         self.good = replace(self.state), self.pair.state()
+        self.sound, self.matured = False, False  # at the last check; at any
         self.written = time.monotonic()
 
     def run(self) -> dict[str, Any]:
@@ -110,10 +111,19 @@ class _Training:
             if look:
                 evaluated = done
                 state.count_stale(self.evaluator.evaluate(pair, state, step_losses))
-                self.good = replace(state), pair.state()
-                self._save(self.good[1])
+                if self._worth_keeping():
+                    self.good = replace(state), pair.state()
+                    self._save(self.good[1])
             elif config.run and time.monotonic() - self.written >= 60 * config.checkpoint:
-                self._save(pair.state())
+                if self._worth_keeping():
+                    self._save(pair.state())
+
+    def _worth_keeping(self) -> bool:
+        """Tell whether to go back to this state later: no training recovers from a collapsed one,
+        in which what has hardly learnt may be for a while; but before it was ever sound there is
+        nothing better.
+        """
+        return self.sound or not self.matured
 
     def _step(self, done: float, look: bool) -> dict[str, float] | None:
         """Make one iteration; return its losses, None where it failed and the state went back."""
@@ -133,9 +143,12 @@ class _Training:
             )
         state.iteration += 1
         pair.update_ema(state.iteration)
-        if state.iteration % _CHECK == 0:
-            grown = done > config.warmup + _YOUNG
-            if found := failure(pair.sample(random, given), real, step_losses, grown=grown):
+        check = state.iteration % _CHECK == 0
+        if look or check:
+            made, grown = pair.sample(random, given), done > config.warmup + _YOUNG
+            self.sound = not failure(made, real, step_losses)
+            self.matured |= self.sound
+            if check and (found := failure(made, real, step_losses, grown=grown)):
                 self.state = _restart(found, state, self.good[0])
                 pair.restore(self.good[1])
                 return None
