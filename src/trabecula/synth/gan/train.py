@@ -145,7 +145,9 @@ class _Training:
         pair.update_ema(state.iteration)
         check = state.iteration % _CHECK == 0
         if look or check:
-            made, grown = pair.sample(random, given), done > config.warmup + _YOUNG
+            made = pair.sample(random, given)
+            warm = config.warmup / 2 < done < config.warmup  # halfway it should make something
+            grown = warm or done > config.warmup + _YOUNG
             self.sound = not failure(made, real, step_losses)
             self.matured |= self.sound
             if check and (found := failure(made, real, step_losses, grown=grown)):
