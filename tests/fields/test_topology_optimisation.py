@@ -10,7 +10,7 @@ import pytest
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import spsolve
 
-from trabecula import fields
+from trabecula import fields, progress
 from trabecula.engine import parallel
 from trabecula.errors import FileError, InputError, MemoryBudgetError, UnknownNameError
 from trabecula.fields.topology.cases import CASES, Case, Load, Support, case, to_json
@@ -239,3 +239,19 @@ def test_a_load_is_shared_by_the_nodes_that_it_meets():
     grid = ElementGrid.of(case("cantilever"), inside, edges=(1.0,) * 3, poisson=0.3)
     wanted = np.sum([push.force for push in case("cantilever").loads], axis=0)
     assert grid.load.sum(axis=(0, 1, 2)) == pytest.approx(wanted)
+
+
+def test_progress_rises_once_over_all_grids(monkeypatch):
+    """The rounds of a grid end when the compliance hardly changes: a share of the most that are
+    allowed said hours where minutes were left.
+    """
+    monkeypatch.setattr("trabecula.fields.topology.optimise._MANY", 500)
+    seen = []
+    with progress(lambda label, done: seen.append((label, done.run.reached))):
+        fields.simp("cantilever", (16, 8, 30))
+    reached = [done for _, done in seen]
+    assert reached == sorted(reached) and reached[0] == 0 and reached[-1] == 1
+    fine = [done for label, done in seen if label == "optimising 16 x 8 x 30 elements"]
+    assert fine[0] == pytest.approx(0.125) and len(fine) > 2
+    assert any(0.2 < done < 1 for done in fine)
+    assert any(label == "optimising 8 x 4 x 15 elements" for label, _ in seen)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number, as_shape, as_spacing
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.core.progress import track
+from trabecula.core.progress import part, report, whole_run
 from trabecula.core.recipe import digest
 from trabecula.engine.memory import Plan, check_budget
 from trabecula.fields.grid import as_field, as_marks, part_region
@@ -30,6 +30,7 @@ from trabecula.fields.topology.elements import ElementGrid
 _MOVE = 0.2  # the most that a density changes in a round
 _BALANCE, _STEPS = 1e-4, 1000  # residual of the displacements, and their steps at most
 _MANY = 100_000  # elements from which a coarser design is the start
+_COARSER = 0.125  # of the time, for it
 ELEMENT_BYTES = 500  # of an element: a dozen fields at nodes of three components, and the densities
 
 
@@ -128,7 +129,8 @@ def simp(
     edges = as_spacing(spacing, ndim=3)
     whole = part_region(mask, sides)
     painted = as_marks(marks, sides)
-    density, compliance = _optimise(Design(chosen, whole, painted, edges, settings))
+    with whole_run("optimising"):
+        density, compliance = _optimise(Design(chosen, whole, painted, edges, settings))
     field = np.where(density > 0, density, settings["low"])
     parameters = {"of": to_json(chosen), "shape": sides, **settings, "spacing": edges, "unit": unit}
     if mask is not None:
@@ -191,49 +193,68 @@ def _halve(inside: np.ndarray) -> np.ndarray:
 def _optimise(design: Design) -> tuple[np.ndarray, list[float]]:
     """Return the densities (0 outside the part), and the compliance of every round."""
     settings = design.settings
-    part = part_nodes(design.case, design.part, design.edges, design.marks)
-    inside, penalty = part.inside, settings["penalty"]
+    nodes = part_nodes(design.case, design.part, design.edges, design.marks)
+    inside = nodes.inside
     solid = np.zeros(inside.shape, bool)
     for region in design.case.solid:
-        solid |= part.elements(region.box, region.place, region.depth)
+        solid |= nodes.elements(region.box, region.place, region.depth)
     _check_solid(solid, inside, settings)
-    grid = ElementGrid.of(design.case, part, edges=part.edges, poisson=settings["poisson"])
-    grids = grid.loaded(design.case, part)
-    smooth = DensityFilter(inside, settings["radius"])
+    grid = ElementGrid.of(design.case, nodes, edges=nodes.edges, poisson=settings["poisson"])
+    grids = grid.loaded(design.case, nodes)
     bounds = Bounds(inside, solid, settings["low"], settings["high"], settings["volume"])
-    start = _start(design, bounds)
-    density, u = start, [np.zeros_like(grid.load) for _ in grids]
+    if np.count_nonzero(inside) <= _MANY or min(inside.shape) < 8:
+        return _iterate(grids, _uniform(bounds), bounds, settings)
+    with part(0.0, _COARSER):
+        start = _from_coarser(design, bounds)
+    with part(_COARSER, 1.0):
+        return _iterate(grids, start, bounds, settings)
+
+
+def _iterate(
+    grids: list[tuple[float, ElementGrid]],
+    start: np.ndarray,
+    bounds: Bounds,
+    settings: Mapping[str, Any],
+) -> tuple[np.ndarray, list[float]]:
+    """Update the densities until the compliance hardly changes."""
+    inside, penalty = bounds.inside, settings["penalty"]
+    smooth = DensityFilter(inside, settings["radius"])
+    density, u = start, [np.zeros_like(grid.load) for _, grid in grids]
+    label = f"optimising {' x '.join(map(str, inside.shape))} elements"
     compliance: list[float] = []
-    for _ in track(range(settings["rounds"]), "optimising", total=settings["rounds"]):
+    done = 0.0
+    for count in range(settings["rounds"]):
+        report(label, done)
         stiff = _power(density, penalty)
         energy = np.zeros(inside.shape)
         for n, (weight, loaded) in enumerate(grids):
             u[n] = solve_displacements(loaded, stiff, u[n], tolerance=_BALANCE, most=_STEPS)
             energy += weight * loaded.energy(u[n])
         compliance.append(float((stiff * energy).sum()))
-        if (
-            len(compliance) > 1
-            and abs(compliance[-2] - compliance[-1]) < settings["tolerance"] * compliance[-2]
-        ):
-            break
+        if count:
+            change = abs(compliance[-2] - compliance[-1]) / compliance[-2]
+            if change < settings["tolerance"]:
+                break
+            # The change falls by about the same share in every round.
+            near = np.log(min(change, 1.0)) / np.log(settings["tolerance"])
+            done = max(done, float(near), (count + 1) / settings["rounds"])
         slope = penalty * _power(density, penalty - 1) * energy
         start, density = _update(start, smooth.back(slope), smooth, bounds)
+    report(label, 1.0)
     return density, compliance
 
 
-def _start(design: Design, bounds: Bounds) -> np.ndarray:
-    """Return the densities to begin with: uniform, or of many elements those of a design on half as
-    many along every axis.
-    """
+def _uniform(bounds: Bounds) -> np.ndarray:
+    return np.where(bounds.inside, bounds.volume, 0.0)
+
+
+def _from_coarser(design: Design, bounds: Bounds) -> np.ndarray:
+    """Return the densities of a design on half as many elements along every axis."""
     inside = bounds.inside
-    uniform = np.where(inside, bounds.volume, 0.0)
-    if np.count_nonzero(inside) <= _MANY or min(inside.shape) < 8:
-        return uniform
-    coarse, _ = _optimise(design.halved())
-    fine = coarse
+    fine, _ = _optimise(design.halved())
     for axis, side in enumerate(inside.shape):
         fine = np.repeat(fine, 2, axis=axis).take(range(side), axis=axis)
-    return np.where(inside & (fine > 0), fine, uniform)
+    return np.where(inside & (fine > 0), fine, _uniform(bounds))
 
 
 def _check_solid(solid: np.ndarray, inside: np.ndarray, settings: Mapping[str, Any]) -> None:

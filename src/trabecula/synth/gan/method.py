@@ -293,8 +293,8 @@ class GanModel(WindowModel):
         every place, one number on average, around which fractions vary as they do without.
         """
         assert self.local is not None
-        cell, by_place = self.config.cell, isinstance(porosity, np.ndarray)
-        if by_place:
+        cell, by_place = self.config.cell, np.ndim(porosity) > 0
+        if isinstance(porosity, np.ndarray):
             means = cell_means(porosity, cell, inside=request.mask)
         else:
             means = np.full([-(-side // cell) for side in request.shape], porosity)

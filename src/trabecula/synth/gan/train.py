@@ -114,9 +114,11 @@ class _Training:
                 if self._worth_keeping():
                     self.good = replace(state), pair.state()
                     self._save(self.good[1])
-            elif config.run and time.monotonic() - self.written >= 60 * config.checkpoint:
-                if self._worth_keeping():
-                    self._save(pair.state())
+            elif config.run and self._checkpoint_due() and self._worth_keeping():
+                self._save(pair.state())
+
+    def _checkpoint_due(self) -> bool:
+        return time.monotonic() - self.written >= 60 * self.config.checkpoint
 
     def _worth_keeping(self) -> bool:
         """Tell whether to go back to this state later: no training recovers from a collapsed one,
