@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from threadpoolctl import threadpool_info
 
 import trabecula as tb
-from trabecula.engine.parallel import for_slabs, thread_count
+from trabecula.engine.parallel import for_slabs, map_items, thread_count
 from trabecula.errors import InputError
 
 
@@ -51,6 +52,52 @@ def test_an_error_in_a_slab_comes_out(count):
 
     with tb.threads(count), pytest.raises(ZeroDivisionError, match="slab of 50"):
         for_slabs(work, 100)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("number", [0, 1, 7])
+def test_items_come_back_in_order_and_are_counted(count, number):
+    seen = []
+    with tb.threads(count), tb.progress(lambda label, done: seen.append((label, done.done))):
+        assert map_items(lambda n: n * n, list(range(number)), "squares") == [
+            n * n for n in range(number)
+        ]
+    assert seen == [("squares", n) for n in range(number + 1)]
+
+
+def test_items_meet_unless_one_by_one():
+    meeting = threading.Barrier(2, timeout=20)
+    threads = set()
+
+    def work(n):
+        threads.add(threading.get_ident())
+        return meeting.wait() if n < 2 else n
+
+    with tb.threads(2):
+        map_items(work, [0, 1, 2, 3], "meeting")
+        assert len(threads) == 2
+        threads.clear()
+        map_items(work, [2, 3, 4], "alone", one_by_one=True)
+    assert threads == {threading.get_ident()}
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_an_error_in_an_item_comes_out(count):
+    with tb.threads(count), pytest.raises(ZeroDivisionError):
+        map_items(lambda n: 1 // n, [2, 1, 0], "shares")
+
+
+def test_threads_inside_items_leave_blas_as_it_was():
+    """Two blocks with one BLAS thread, the second of which ends last, restore what they found."""
+    matrix = np.eye(64)
+
+    def work(n):
+        for_slabs(lambda a, b: matrix @ matrix, 64)
+
+    before = [each["num_threads"] for each in threadpool_info()]
+    with tb.threads(4):
+        map_items(work, list(range(40)), "products")
+    assert [each["num_threads"] for each in threadpool_info()] == before
 
 
 def test_threads_nest_and_end_with_their_block(monkeypatch):

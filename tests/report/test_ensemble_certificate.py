@@ -12,6 +12,8 @@ from scipy import ndimage
 
 import trabecula as tb
 from trabecula.core.errors import InputError
+from trabecula.measure.copying import pair
+from trabecula.report.band import parts
 from trabecula.report.dependence import CorrelatedSample
 from trabecula.report.ensemble_figures import EnsembleFigures
 from trabecula.report.ensemble_tests import LARGE, MEAN, OPEN, PASS, SHAPE, SMALL, compare
@@ -325,3 +327,16 @@ def test_what_cannot_be_judged_is_refused_with_advice(scan, members, change, wor
     given, images = change(scan, members)
     with pytest.raises(InputError, match=words):
         tb.verify_ensemble(given, images, level="quick")
+
+
+def test_the_exemplars_tree_is_grown_once_for_all_members(monkeypatch):
+    grown, grow = [], pair.exemplar_tree
+    monkeypatch.setattr(pair, "exemplar_tree", lambda one, **more: grown.append(1) or grow(one))
+    exemplar = material(1, 64)
+    members = [material(seed, 24) for seed in range(2, 14)]
+    tb.verify_ensemble(exemplar, members, level="quick")
+    assert not grown
+    with tb.threads(3):
+        tb.verify_ensemble(exemplar, members)
+    searches = len([*parts(exemplar, share=2)]) // 2 + 4 * 3  # of parts, and among four members
+    assert len(grown) == searches + 1

@@ -12,7 +12,7 @@ from trabecula.report import rates
 from trabecula.report.descriptors import LabelDescriptors
 from trabecula.report.metrics import Metric
 from trabecula.report.rates import rates_note
-from trabecula.report.reference import Reference, copies_limit
+from trabecula.report.reference import Reference, copies_limit, search_copies
 from trabecula.report.summary_text import sentences
 from trabecula.report.verdict import Certificate
 
@@ -42,7 +42,7 @@ def test_the_certificate_fails_what_was_mirrored_or_turned_and_says_how(referenc
     exemplar = reference.exemplar
     turned = np.ascontiguousarray(exemplar.values[:, ::-1].transpose(0, 2, 1))
     image = half(exemplar, field(1), turned) if share == "half" else tb.Image(turned, "labels")
-    found = reference.judge(image, reference.measure(image))
+    found = reference.judge(reference.measure(image), search_copies(reference.exemplar, image))
     metric = found["turned_copies"]
     assert metric.passed is False and metric.value > (0.15 if share == "half" else 0.95)
     assert metric.to_json()["symmetry"] == "turned by 90 degrees about z"
@@ -55,7 +55,7 @@ def test_the_certificate_fails_what_was_mirrored_or_turned_and_says_how(referenc
 def test_independent_material_has_no_turned_copies(reference):
     for seed in (2, 3):
         image = field(seed)
-        found = reference.judge(image, reference.measure(image))
+        found = reference.judge(reference.measure(image), search_copies(reference.exemplar, image))
         assert found["turned_copies"].passed and found["turned_copies"].value <= 0.05
         assert "symmetry" not in found["turned_copies"].to_json()
 

@@ -288,8 +288,7 @@ def track(items: Iterable[T], label: str, *, total: int | None = None) -> Iterat
         items = list(items)
         total = len(items)
     span = _span.get()
-    run = None if span is None else span.run
-    _send(label, Fraction(0, total, run))
+    report_count(label, 0, total)
     done, source = 0, iter(items)
     try:
         while True:
@@ -304,7 +303,7 @@ def track(items: Iterable[T], label: str, *, total: int | None = None) -> Iterat
             yield item
             done += 1
             _span.set(span)
-            _send(label, Fraction(done, total, run))
+            report_count(label, done, total)
     finally:
         _span.set(span)
 
@@ -314,6 +313,13 @@ def notify(line: str) -> None:
     listener = _listener.get()
     if listener is not None:
         listener(line, -1.0)
+
+
+def report_count(label: str, done: int, total: int) -> None:
+    """Report how many of `total` items are done, where they are not done one after the other."""
+    span = _span.get()
+    if _listener.get() is not None:
+        _send(label, Fraction(done, total, None if span is None else span.run))
 
 
 def report(label: str, done: float) -> None:

@@ -5,7 +5,7 @@ of threads.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from functools import cache
@@ -14,9 +14,11 @@ from threading import Lock
 from typing import Any, TypeVar
 
 from trabecula.core.errors import InputError
+from trabecula.core.progress import part, report_count, track
 from trabecula.engine import memmap
 from trabecula.engine.thread_pool import share_work
 
+S = TypeVar("S")
 T = TypeVar("T")
 
 _threads: ContextVar[int | None] = ContextVar("trabecula_threads", default=None)
@@ -91,6 +93,42 @@ def for_items(work: Callable[[int, int], object], count: int, *, least: int = 1)
     The list is in memory: no pages are released. BLAS is not called.
     """
     _run(work, count, min(thread_count(), max(1, count // least)), least)
+
+
+def map_items(
+    work: Callable[[S], T], items: Sequence[S], label: str, *, one_by_one: bool = False
+) -> list[T]:
+    """Return `work(item)` of every item, in their order, as many at once as threads are in use;
+    report under `label` how many are done.
+
+    Small items gain more than from `for_slabs` inside them, which still shares its slabs with
+    threads that have no item left. Costly ones should come first. With `one_by_one` they do not
+    meet: for work that takes much memory, or reports its own progress.
+    """
+    if one_by_one or memmap.is_active() or thread_count() == 1:
+        return [work(item) for item in track(items, label)]
+    found: list[Any] = [None] * len(items)
+    lock, done = Lock(), 0
+
+    def fill(start: int, stop: int) -> None:
+        nonlocal done
+        for n in range(start, stop):
+            with part(n / len(items), (n + 1) / len(items)):
+                found[n] = work(items[n])
+            with lock:
+                done += 1
+                report_count(label, done, len(items))
+
+    report_count(label, 0, len(items))
+    # Held here, since blocks that end in another order than they begin would leave the limit.
+    with one_blas_thread():
+        share_work(fill, [(n, n + 1) for n in range(len(items))], min(thread_count(), len(items)))
+    return found
+
+
+def do_together(label: str, *jobs: Callable[[], Any], one_by_one: bool = False) -> list[Any]:
+    """Return what each of several jobs returns, done at once as by `map_items`."""
+    return map_items(lambda job: job(), jobs, label, one_by_one=one_by_one)
 
 
 def in_order(work: Callable[[int, int], object], length: int) -> None:

@@ -8,6 +8,7 @@ enough, eight octants as a rule), extrapolated to the image's size; `report.band
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, cast, overload
@@ -15,13 +16,14 @@ from typing import Any, cast, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core import progress
 from trabecula.core.checks import as_number, check_name, check_type
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.lazy_volume import Slabs
+from trabecula.engine.parallel import do_together, map_items
 from trabecula.measure.blockwise import names_without_slabs
 from trabecula.measure.copying import diversity
+from trabecula.measure.copying.pair import ExemplarTrees
 from trabecula.measure.disector import GAP
 from trabecula.measure.fractions import porosity
 from trabecula.measure.registry import LEVELS
@@ -39,11 +41,13 @@ from trabecula.report.evenness import Windows, choose_windows, local_fractions
 from trabecula.report.metrics import Metric
 from trabecula.report.notes import exemplar_notes, image_notes
 from trabecula.report.rates import rates_note
-from trabecula.report.reference import Reference
+from trabecula.report.reference import Reference, search_copies
 from trabecula.report.slicewise import judge_volumes
 from trabecula.report.verdict import Certificate, about_image
 
 Exemplar = Image | ArrayLike | list[Image] | tuple[Image, ...]
+
+_TOGETHER = 256**3  # voxels of the largest image up to which images are measured at once
 
 
 @overload
@@ -212,10 +216,12 @@ def verify(
     for image, name in zip(others, names, strict=True):
         check_corresponds(exemplar, image, name)
     judge = Judge(exemplar, others, r_max=r_max, level=level, box=box, memory=memory)
-    found = [
-        judge.certificate(image, name)
-        for image, name in progress.track(list(zip(others, names, strict=True)), "comparing")
-    ]
+    found = map_items(
+        lambda pair: judge.certificate(*pair),
+        list(zip(others, names, strict=True)),
+        "comparing",
+        one_by_one=judge.one_by_one,
+    )
     found = _add_diversity(found, others) if judge.thorough else found
     found = [replace(one, notes=(*one.notes, slab_note)) for one in found] if slab_note else found
     return found[0] if len(found) == 1 else found
@@ -250,12 +256,31 @@ class Judge:
         reach = max(1, min(reach, fits))
         windows = choose_windows(exemplar, images)
         descriptors = _choose_descriptors(exemplar, reach, level, windows, box, memory)
-        self.reference = Reference(exemplar, descriptors, copying=self.thorough)
-        self.baseline = _baseline(self.reference, reach) if self.thorough else None
+        sizes = [math.prod(each.shape) for each in (exemplar, *images)]
+        self.one_by_one = level == "full" or max(sizes) > _TOGETHER
+        self.reference, field = do_together(
+            "measuring the exemplar",
+            lambda: Reference(
+                exemplar, descriptors, copying=self.thorough, one_by_one=self.one_by_one
+            ),
+            lambda: _measure_baseline(exemplar, windows, reach) if self.thorough else None,
+            one_by_one=self.one_by_one,
+        )
+        self.trees = ExemplarTrees()
+        self.baseline = field and (self.reference.judge(field, None), field)
 
     def certificate(self, image: Image, name: str, *, copying: bool | None = None) -> Certificate:
         """Judge an image; `copying` False leaves out the search for copies, most of the time."""
-        return _certificate(self.reference, image, name, self.level, self.baseline, copying)
+        reference = self.reference
+        search = reference.copying if copying is None else copying
+        measured, copies = do_together(
+            f"measuring {name}",
+            lambda: reference.measure(image),
+            lambda: search_copies(reference.exemplar, image, trees=self.trees) if search else None,
+            one_by_one=self.one_by_one,
+        )
+        metrics = reference.judge(measured, copies)
+        return _certificate(reference, image, name, self.level, self.baseline, measured, metrics)
 
 
 def _as_image(image: Image | Slabs | ArrayLike, *, name: str) -> Image:
@@ -303,15 +328,13 @@ def _choose_descriptors(
     return LabelDescriptors(r_max=r_max, level=level, windows=windows, box=box, memory=memory)
 
 
-def _baseline(reference: Reference, r_max: int) -> tuple[dict[str, Metric], Measurements]:
-    """Judge the baseline, without transport and stiffness, which take as long as those of an image,
-    and without copying: it is no copy by its making.
+def _measure_baseline(exemplar: Image, windows: Windows | None, r_max: int) -> Measurements:
+    """Measure the baseline, without transport and stiffness, which take as long as those of an
+    image; it is no copy by its making.
     """
-    field = gaussian_field(reference.exemplar)
-    windows = cast(LabelDescriptors, reference.descriptors).windows
-    fits = windows if windows and min(field.shape) >= min(reference.exemplar.shape) else None
-    measured = LabelDescriptors(r_max=r_max, level="default", windows=fits).measure(field)
-    return reference.judge(field, measured, copying=False), measured
+    field = gaussian_field(exemplar)
+    fits = windows if windows and min(field.shape) >= min(exemplar.shape) else None
+    return LabelDescriptors(r_max=r_max, level="default", windows=fits).measure(field)
 
 
 def _certificate(
@@ -320,10 +343,9 @@ def _certificate(
     name: str,
     level: str,
     baseline: tuple[dict[str, Metric], Measurements] | None,
-    copying: bool | None,
+    measured: Measurements,
+    metrics: dict[str, Metric],
 ) -> Certificate:
-    measured = reference.measure(image)
-    metrics = reference.judge(image, measured, copying=copying)
     curves = {
         "exemplar": reference.own.curves,
         "image": measured.curves,

@@ -10,11 +10,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from trabecula.core import progress
 from trabecula.core.checks import check_name, check_type
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
+from trabecula.engine.parallel import map_items
 from trabecula.measure.copying import TurnedCopies, differences, diversity
+from trabecula.measure.copying.pair import ExemplarTrees
 from trabecula.measure.copying.turned import ENOUGH
 from trabecula.measure.fractions import porosity
 from trabecula.measure.registry import LEVELS
@@ -122,7 +123,7 @@ def verify_ensemble(
     reach = min(r_max, *(min(image.shape) // 2 for image in (*exemplars, members[0])))
     figures = EnsembleFigures(level, choose_lags(exemplars, reach), box)
     real = RealParts(exemplars, figures, shape)
-    found = [figures.measure(member) for member in progress.track(members, "measuring members")]
+    found = figures.measure_all(members, "measuring members")
     known = [
         name
         for name in real.names()
@@ -231,8 +232,16 @@ def _find_copies(
     among = _coherence_among([members[n] for n in chosen])
     copied: dict[str, float] = {}
     turned: dict[str, TurnedCopies] = {}
-    for n in progress.track(chosen, "searching copies"):
-        found = [search_copies(exemplar, members[n]) for exemplar in exemplars]
+    trees = [ExemplarTrees() for _ in exemplars]
+    searched = map_items(
+        lambda n: [
+            search_copies(exemplar, members[n], trees=grown)
+            for exemplar, grown in zip(exemplars, trees, strict=True)
+        ],
+        chosen,
+        "searching copies",
+    )
+    for n, found in zip(chosen, searched, strict=True):
         found = [each for each in found if each[0] is not None]
         copied[names[n]] = max((share or 0.0 for share, _ in found), default=0.0)
         seen = [each for _, each in found if each]

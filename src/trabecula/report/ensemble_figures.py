@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.engine.parallel import map_items
 from trabecula.measure.correlation import decay_length, two_point
 from trabecula.measure.fractions import volume_fractions
 from trabecula.measure.registry import AT_LEAST, DESCRIPTORS
@@ -66,6 +67,10 @@ class EnsembleFigures:
                 values = [solve(image, axis=axis, box=self.box).value for axis in range(3)]
                 found[name] = _number(float(np.mean(values)))
         return {name: found[name] for name in sorted(found, key=_place)}
+
+    def measure_all(self, images: Sequence[Image], label: str) -> list[dict[str, float | None]]:
+        """Measure every figure of every image; report under `label` how many are done."""
+        return map_items(self.measure, images, label, one_by_one=self.level == "full")
 
     def title(self, name: str) -> str:
         """Return the title of a figure."""

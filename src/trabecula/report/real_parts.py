@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trabecula.core import progress
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, with_values
 from trabecula.measure.streaming.cells import cells_of
@@ -85,7 +84,7 @@ class RealParts:
             for exemplar, boxes in zip(exemplars, self.boxes, strict=True)
             for box in boxes
         ]
-        self.found = [figures.measure(part) for part in progress.track(cut, "measuring real parts")]
+        self.found = figures.measure_all(cut, "measuring real parts")
         self.own = [figures.measure(each) for each in exemplars] if self.extrapolated else []
         groups = [np.full(len(boxes), n) for n, boxes in enumerate(self.boxes)]
         self.exemplar_of = np.concatenate(groups)

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.core import progress
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
+from trabecula.engine.parallel import map_items
 from trabecula.measure.copying import TurnedCopies, coherence
 from trabecula.measure.copying.coherence import sample_sources
+from trabecula.measure.copying.pair import ExemplarTrees
 from trabecula.measure.copying.turned import ENOUGH, find_turned
 from trabecula.measure.evenness import Evenness
 from trabecula.measure.registry import (
@@ -72,6 +73,8 @@ class Reference:
         Also search where every image was taken from.
     shape : sequence of int, optional
         Of parts, where they are to be smaller than halves.
+    one_by_one : bool
+        Measure no two at once (`map_items`).
     """
 
     def __init__(
@@ -81,15 +84,17 @@ class Reference:
         *,
         copying: bool,
         shape: Sequence[int] | None = None,
+        one_by_one: bool = False,
     ) -> None:
         self.exemplar, self.descriptors, self.copying = exemplar, descriptors, copying
         boxes = list(parts(exemplar, shape=shape))
-        self.own = descriptors.measure(exemplar)
+        self.own, *self.parts = map_items(
+            lambda one: descriptors.measure(one, part=one is not exemplar),
+            [exemplar, *boxes],
+            "measuring the exemplar and its parts",
+            one_by_one=one_by_one,
+        )
         self.exponent = min(map(scaling_exponent, self.own.evenness.values()), default=1.0)
-        self.parts = [
-            descriptors.measure(part, part=True)
-            for part in progress.track(boxes, "measuring the exemplar's parts")
-        ]
         distances = [descriptors.distances(part, self.own) for part in self.parts]
         first = distances[0] if distances else {}
         self.spread: dict[str, list[float | None]] = {
@@ -105,13 +110,14 @@ class Reference:
         return self.descriptors.measure(image)
 
     def judge(
-        self, image: Image, measured: Measurements, *, copying: bool | None = None
+        self, measured: Measurements, copies: tuple[float | None, TurnedCopies | None] | None
     ) -> dict[str, Metric]:
-        """Judge every figure of an image, in the order of the registry; `copying` says whether to
-        search for copies as well (default: as the reference does)."""
+        """Judge every figure of an image, in the order of the registry; `copies` are what
+        `search_copies` found in it, None where nobody looked.
+        """
         found = self.judge_measurements(measured)
-        if self.copying if copying is None else copying:
-            found |= self.judge_copies(*search_copies(self.exemplar, image))
+        if copies is not None:
+            found |= self.judge_copies(*copies)
         return {name: found[name] for name in in_order(found)}
 
     def judge_copies(self, share: float | None, turned: TurnedCopies | None) -> dict[str, Metric]:
@@ -256,18 +262,19 @@ def search_parts(boxes: Sequence[Image]) -> list[tuple[float | None, TurnedCopie
     """Search parts of the exemplar for copies of the part farthest away: there are none."""
     count = len(boxes)
     pairs = [(boxes[n], boxes[count - 1 - n]) for n in range(max(count // 2, min(count, 2)))]
-    return [
-        search_copies(there, here)
-        for here, there in progress.track(pairs, "searching the exemplar's parts")
-    ]
+    return map_items(
+        lambda pair: search_copies(pair[1], pair[0]), pairs, "searching the exemplar's parts"
+    )
 
 
-def search_copies(exemplar: Image, image: Image) -> tuple[float | None, TurnedCopies | None]:
+def search_copies(
+    exemplar: Image, image: Image, *, trees: ExemplarTrees | None = None
+) -> tuple[float | None, TurnedCopies | None]:
     """Return the coherence over `LAG` voxels, and copies that were mirrored or turned; None where
-    images are too small or plain for it.
+    images are too small or plain for it. `trees` as of `sample_sources`.
     """
     try:
-        found = sample_sources(exemplar, image, steps=[LAG], samples=SAMPLES, seed=0)
+        found = sample_sources(exemplar, image, steps=[LAG], samples=SAMPLES, seed=0, trees=trees)
     except InputError:
         return None, None
     return found.shares[LAG], find_turned(found)

@@ -158,6 +158,34 @@ def test_a_training_goes_back_beyond_a_state_that_had_collapsed(
     assert state["training"]["restarts"] == 1 and state["training"]["iterations"] == 40
 
 
+def test_a_warm_up_that_learns_nothing_begins_anew(stripes, monkeypatch):
+    """An open foam was void alone from the start; at half the rate it was not."""
+    play, rates = AdversarialPair.warmup_step, []
+
+    def stuck(self, *args, **more):
+        rates.append(self.optimisers[0].param_groups[0]["lr"])
+        told = play(self, *args, **more)
+        if rates[-1] == rates[0]:
+            with torch.no_grad():
+                for parameter in self.generator.parameters():
+                    parameter.zero_()
+        return told
+
+    def judge(fake, *_, grown=True):
+        return "it makes one phase only" if grown and not fake.any() else ""
+
+    monkeypatch.setattr(AdversarialPair, "warmup_step", stuck)
+    monkeypatch.setattr(train, "failure", judge)
+    monkeypatch.setattr(train, "_CHECK", 5)
+    said = []
+    settings = {**TINY, "iterations": 20, "warmup": 0.9, "looks": 10, "decay": 0.0}
+    with listen(lambda label, done: said.append(label) if done < 0 else None):
+        train.train(GanConfig(**settings), stripes)
+    assert [line for line in said if "back to" in line] == [
+        "after 15 iterations it makes one phase only: back to 0, with the rate times 0.5"
+    ]
+
+
 def test_a_training_that_always_diverges_is_given_up(stripes, monkeypatch):
     def failing(*_, **__):
         return {"discriminator": float("nan"), "generator": 0.0}

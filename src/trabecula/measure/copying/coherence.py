@@ -16,7 +16,7 @@ from trabecula.core.image import Image
 from trabecula.core.seeds import generator
 from trabecula.measure.copying.index import Neighbourhoods, Tree, neighbourhoods_of, search
 from trabecula.measure.copying.kernels import FAR
-from trabecula.measure.copying.pair import Pair, exemplar_tree, mirror_images, prepare_pair
+from trabecula.measure.copying.pair import ExemplarTrees, Pair, mirror_images, prepare_pair
 
 
 def coherence(
@@ -118,12 +118,16 @@ def sample_sources(
     half: bool = False,
     samples: int,
     seed: int,
+    trees: ExemplarTrees | None = None,
 ) -> SourceSample:
     """Search the sources of a sample of voxels; the parameters are those of `coherence`, checked
     but for the images.
+
+    `trees` are those of the exemplar, which several searches may share: most of the time of one.
     """
     pair = prepare_pair(exemplar, image, size=size, half=half)
-    tree, cubes = exemplar_tree(pair), neighbourhoods_of(pair.image, pair.geometry)
+    tree = (trees or ExemplarTrees()).of(pair)
+    cubes = neighbourhoods_of(pair.image, pair.geometry)
     sites, moves, fits = _sample_sites(cubes, pair, steps, samples, seed)
     for step, pairs in zip(steps, fits.T, strict=True):
         if not pairs.any():

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
+from threading import Lock
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -95,6 +96,23 @@ def exemplar_tree(pair: Pair, *, leaf: int = 1024) -> Tree:
             "no neighbourhood of the exemplar has an interface near its middle: give another crop"
         )
     return build_tree(cubes, pair.geometry, leaf=leaf)
+
+
+class ExemplarTrees:
+    """The trees of one exemplar, each grown once for all searches that share them, in any
+    threads.
+    """
+
+    def __init__(self) -> None:
+        self._grown: dict[Geometry, Tree] = {}
+        self._lock = Lock()
+
+    def of(self, pair: Pair) -> Tree:
+        """Return the tree of the exemplar of a pair, whose image decides on the bits of labels."""
+        with self._lock:
+            if pair.geometry not in self._grown:
+                self._grown[pair.geometry] = exemplar_tree(pair)
+            return self._grown[pair.geometry]
 
 
 def mirror_images(pair: Pair, mirrors: bool) -> Iterator[tuple[tuple[int, ...], Neighbourhoods]]:

@@ -84,7 +84,7 @@ class _Training:
         self.evaluator = Evaluator(config, images, fields)
         self.state = self.evaluator.resume(self.pair)
         self.good = replace(self.state), self.pair.state()
-        self.sound, self.matured = False, False  # at the last check; at any
+        self.sound, self.learnt = False, False  # at the last check; at any since it may have learnt
         self.written = time.monotonic()
 
     def run(self) -> dict[str, Any]:
@@ -111,21 +111,21 @@ class _Training:
             if look:
                 evaluated = done
                 state.count_stale(self.evaluator.evaluate(pair, state, step_losses))
-                if self._worth_keeping():
+                if self.sound and self.learnt:
                     self.good = replace(state), pair.state()
-                    self._save(self.good[1])
-            elif config.run and self._checkpoint_due() and self._worth_keeping():
+                if self._worth_saving():
+                    self._save(pair.state())
+            elif config.run and self._checkpoint_due() and self._worth_saving():
                 self._save(pair.state())
 
     def _checkpoint_due(self) -> bool:
         return time.monotonic() - self.written >= 60 * self.config.checkpoint
 
-    def _worth_keeping(self) -> bool:
-        """Tell whether to go back to this state later: no training recovers from a collapsed one,
-        in which what has hardly learnt may be for a while; but before it was ever sound there is
-        nothing better.
+    def _worth_saving(self) -> bool:
+        """Tell whether to resume from this state: no training recovers from a collapse, in which a
+        young network may be for a while; but before it was ever sound there is nothing better.
         """
-        return self.sound or not self.matured
+        return self.sound or not self.learnt
 
     def _step(self, done: float, look: bool) -> dict[str, float] | None:
         """Make one iteration; return its losses, None where it failed and the state went back."""
@@ -148,10 +148,11 @@ class _Training:
         check = state.iteration % _CHECK == 0
         if look or check:
             made = pair.sample(random, given)
-            warm = config.warmup / 2 < done < config.warmup  # halfway it should make something
+            # Halfway through the warm-up it should make something, and not lose it again.
+            warm = done < config.warmup and (self.learnt or done > config.warmup / 2)
             grown = warm or done > config.warmup + _YOUNG
             self.sound = not failure(made, real, step_losses)
-            self.matured |= self.sound
+            self.learnt |= self.sound and done >= config.warmup / 4
             if check and (found := failure(made, real, step_losses, grown=grown)):
                 self.state = _restart(found, state, self.good[0])
                 pair.restore(self.good[1])
