@@ -47,7 +47,10 @@ from trabecula.report.verdict import Certificate, about_image
 
 Exemplar = Image | ArrayLike | list[Image] | tuple[Image, ...]
 
-_TOGETHER = 256**3  # voxels of the largest image up to which images are measured at once
+_TOGETHER = 160**3
+"""Voxels of the largest image up to which images are measured at once: larger ones take what
+`in_core_bytes` says one after the other, and share their slabs among threads as well.
+"""
 
 
 @overload
