@@ -158,8 +158,11 @@ def _result(file: str, exemplars: list[Any], views: list[str], options: argparse
 
     exemplar, volume = exemplars[0], None
     if exemplar.kind == "labels" and exemplar.ndim == 3:
+        level = options.level
+        # Above level "quick" the exemplar's search tree is held beside what the image takes.
+        held = 0 if level == "quick" else in_core_bytes(exemplar.shape, level)
         memory = {
-            "need": lambda shape: in_core_bytes(shape, options.level),
+            "need": lambda shape: held + in_core_bytes(shape, level),
             "memory": options.memory,
         }
         volume = slabs_like_if_large(file, exemplar, **memory)
