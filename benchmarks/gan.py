@@ -159,13 +159,12 @@ def from_pictures() -> None:
         scan = every[name]
         plain = tb.Image(scan.values, "labels", phases=scan.phases)
         sides = [min(PICTURED_SIDE, have) for have in plain.shape]
-        learnt = [take_slices(plain, plane, 1)[0] for plane in PLANES]
-        if gap:
-            count = int((asked("SECTIONS") or ["2"])[0])
+        if asked("PICTURES") == ["3"] and not gap:
+            learnt = [take_slices(plain, plane, 1)[0] for plane in PLANES]
+        else:
+            count = int((asked("SECTIONS") or ["2"])[0]) if gap else 1
             first = int(place * plain.shape[0])
             learnt = [section(plain, first + gap * n) for n in range(count)]
-        elif asked("PICTURES") != ["3"]:
-            learnt = [section(plain, int(place * plain.shape[0]))]
         settings = {"iterations": iterations, "minutes": 0, "gap": gap, "seed": seed}
         model = tb.method("gan", **settings).fit(learnt)
         if gap:

@@ -65,7 +65,7 @@ def test_items_come_back_in_order_and_are_counted(count, number):
     assert seen == [("squares", n) for n in range(number + 1)]
 
 
-def test_items_meet_unless_one_by_one():
+def test_items_meet_unless_one_at_most():
     meeting = threading.Barrier(2)
 
     def meets(_):
@@ -78,7 +78,7 @@ def test_items_meet_unless_one_by_one():
 
     with tb.threads(2):
         assert any(map_items(meets, [0] * 20, "meeting"))
-        assert not any(map_items(meets, [0] * 3, "alone", one_by_one=True))
+        assert not any(map_items(meets, [0] * 3, "alone", most=1))
 
 
 @pytest.mark.parametrize("count", [1, 3])

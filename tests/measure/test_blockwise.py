@@ -12,7 +12,13 @@ import trabecula as tb
 from trabecula.engine.lazy_volume import Slabs, as_slabs, depth_within
 from trabecula.engine.memory import Plan
 from trabecula.measure import component_sizes, describe, percolating_fraction
-from trabecula.measure.blockwise import count_slabs, describe_slabs, forecast, names_without_slabs
+from trabecula.measure.blockwise import (
+    count_slabs,
+    describe_slabs,
+    forecast,
+    images_at_once,
+    names_without_slabs,
+)
 from trabecula.measure.labelling import label_components
 from trabecula.measure.streaming import ComponentTally, ConfigurationCounts
 
@@ -259,3 +265,12 @@ def test_slabs_of_an_image_are_its_planes(inside, depth):
         len(label_components(inside)[1])
         == in_pieces(as_slabs(image), ComponentTally(), depth).result().components
     )
+
+
+def test_large_images_are_described_one_after_the_other():
+    """On many threads several large ones would take as many times what one takes."""
+    assert images_at_once([(64, 64, 64)], "default") == 31
+    assert images_at_once([(64, 64, 64), (160, 160, 160)], "default") == 2
+    assert images_at_once([(200, 200, 200)], "quick") == 1
+    assert images_at_once([(1024, 1024, 1024)], "default") == 1
+    assert images_at_once([(16, 16, 16)], "full") == 1

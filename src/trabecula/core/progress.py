@@ -316,7 +316,7 @@ def notify(line: str) -> None:
 
 
 def report_count(label: str, done: int, total: int) -> None:
-    """Report how many of `total` items are done, where they are not done one after the other."""
+    """Report how many of `total` items are done."""
     span = _span.get()
     if _listener.get() is not None:
         _send(label, Fraction(done, total, None if span is None else span.run))

@@ -96,16 +96,17 @@ def for_items(work: Callable[[int, int], object], count: int, *, least: int = 1)
 
 
 def map_items(
-    work: Callable[[S], T], items: Sequence[S], label: str, *, one_by_one: bool = False
+    work: Callable[[S], T], items: Sequence[S], label: str, *, most: int | None = None
 ) -> list[T]:
-    """Return `work(item)` of every item, in their order, as many at once as threads are in use;
-    report under `label` how many are done.
+    """Return `work(item)` of every item, in their order, as many at once as threads are in use but
+    `most` at most; report under `label` how many are done.
 
     Small items gain more than from `for_slabs` inside them, which still shares its slabs with
-    threads that have no item left. Costly ones should come first. With `one_by_one` they do not
-    meet: for work that takes much memory, or reports its own progress.
+    threads that have no item left. Costly ones should come first. Work that reports its own
+    progress is done one by one (`most` 1).
     """
-    if one_by_one or memmap.is_active() or thread_count() == 1:
+    count = thread_count() if most is None else min(thread_count(), most)
+    if count == 1 or memmap.is_active():
         return [work(item) for item in track(items, label)]
     found: list[Any] = [None] * len(items)
     lock, done = Lock(), 0
@@ -122,13 +123,13 @@ def map_items(
     report_count(label, 0, len(items))
     # Held here, since blocks that end in another order than they begin would leave the limit.
     with one_blas_thread():
-        share_work(fill, [(n, n + 1) for n in range(len(items))], min(thread_count(), len(items)))
+        share_work(fill, [(n, n + 1) for n in range(len(items))], min(count, len(items)))
     return found
 
 
-def do_together(label: str, *jobs: Callable[[], Any], one_by_one: bool = False) -> list[Any]:
+def do_together(label: str, *jobs: Callable[[], Any], most: int | None = None) -> list[Any]:
     """Return what each of several jobs returns, done at once as by `map_items`."""
-    return map_items(lambda job: job(), jobs, label, one_by_one=one_by_one)
+    return map_items(lambda job: job(), jobs, label, most=most)
 
 
 def in_order(work: Callable[[int, int], object], length: int) -> None:

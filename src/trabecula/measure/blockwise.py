@@ -36,6 +36,7 @@ from trabecula.measure.streaming.pairs import pairs_bytes
 PHASES_LEFT_OUT = ("cross_correlation", "triples")
 """Figures of three phases or more that need the whole volume in memory."""
 
+_AT_ONCE = 2 * 160**3  # voxels that are described at once
 _IN_CORE = {"quick": 26, "default": 45, "full": 45}
 """Bytes a voxel of `describe`, by level, less the solvers' own (which are refused by their own
 forecast).
@@ -271,6 +272,15 @@ def forecast(volume: Slabs, *, r_max: int, depth: int, phases: bool = False) -> 
             "work": max(numbering, pairs_bytes(pairs, depth)),
         }
     )
+
+
+def images_at_once(shapes: Sequence[Sequence[int]], level: str) -> int:
+    """Return how many images of at most these shapes may be described at once: larger ones share
+    their slabs among threads as well, and take what `in_core_bytes` says one after the other.
+    """
+    if level == "full":  # whose solvers take more, and report their own progress
+        return 1
+    return max(1, _AT_ONCE // max(map(math.prod, shapes)))
 
 
 def in_core_bytes(shape: tuple[int, ...], level: str) -> int:

@@ -8,7 +8,6 @@ enough, eight octants as a rule), extrapolated to the image's size; `report.band
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, cast, overload
@@ -21,7 +20,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.engine.parallel import do_together, map_items
-from trabecula.measure.blockwise import names_without_slabs
+from trabecula.measure.blockwise import images_at_once, names_without_slabs
 from trabecula.measure.copying import diversity
 from trabecula.measure.copying.pair import ExemplarTrees
 from trabecula.measure.disector import GAP
@@ -46,11 +45,6 @@ from trabecula.report.slicewise import judge_volumes
 from trabecula.report.verdict import Certificate, about_image
 
 Exemplar = Image | ArrayLike | list[Image] | tuple[Image, ...]
-
-_TOGETHER = 160**3
-"""Voxels of the largest image up to which images are measured at once: larger ones take what
-`in_core_bytes` says one after the other, and share their slabs among threads as well.
-"""
 
 
 @overload
@@ -223,7 +217,7 @@ def verify(
         lambda pair: judge.certificate(*pair),
         list(zip(others, names, strict=True)),
         "comparing",
-        one_by_one=judge.one_by_one,
+        most=judge.most,
     )
     found = _add_diversity(found, others) if judge.thorough else found
     found = [replace(one, notes=(*one.notes, slab_note)) for one in found] if slab_note else found
@@ -259,15 +253,12 @@ class Judge:
         reach = max(1, min(reach, fits))
         windows = choose_windows(exemplar, images)
         descriptors = _choose_descriptors(exemplar, reach, level, windows, box, memory)
-        sizes = [math.prod(each.shape) for each in (exemplar, *images)]
-        self.one_by_one = level == "full" or max(sizes) > _TOGETHER
+        self.most = images_at_once([each.shape for each in (exemplar, *images)], level)
         self.reference, field = do_together(
             "measuring the exemplar",
-            lambda: Reference(
-                exemplar, descriptors, copying=self.thorough, one_by_one=self.one_by_one
-            ),
+            lambda: Reference(exemplar, descriptors, copying=self.thorough, most=self.most),
             lambda: _measure_baseline(exemplar, windows, reach) if self.thorough else None,
-            one_by_one=self.one_by_one,
+            most=self.most,
         )
         self.trees = ExemplarTrees()
         self.baseline = field and (self.reference.judge(field, None), field)
@@ -280,10 +271,41 @@ class Judge:
             f"measuring {name}",
             lambda: reference.measure(image),
             lambda: search_copies(reference.exemplar, image, trees=self.trees) if search else None,
-            one_by_one=self.one_by_one,
+            most=self.most,
         )
-        metrics = reference.judge(measured, copies)
-        return _certificate(reference, image, name, self.level, self.baseline, measured, metrics)
+        return self._certificate(image, name, measured, reference.judge(measured, copies))
+
+    def _certificate(
+        self, image: Image, name: str, measured: Measurements, metrics: dict[str, Metric]
+    ) -> Certificate:
+        reference, level, baseline = self.reference, self.level, self.baseline
+        curves = {
+            "exemplar": reference.own.curves,
+            "image": measured.curves,
+            "parts": [p.curves for p in reference.parts],
+        }
+        about = {
+            "exemplar": about_image(reference.exemplar),
+            "image": about_image(image),
+            "level": level,
+        }
+        if measured.details:
+            about["physics"] = {"exemplar": reference.own.details, "image": measured.details}
+        if baseline:
+            curves["baseline"] = baseline[1].curves
+        notes = (
+            *exemplar_notes(reference),
+            *image_notes(reference.exemplar, image, metrics, measured),
+            *rates_note(reference.exemplar, image, level),
+        )
+        noise = baseline[0] if baseline else None
+        reasons = (*exemplar_reasons(reference), *level_reasons(reference, level, noise, metrics))
+        maps = {
+            who: local_fractions(each)
+            for who, each in (("exemplar", reference.own), ("image", measured))
+            if each.cells
+        }
+        return Certificate(metrics, notes, name, curves, about, noise, reasons, maps)
 
 
 def _as_image(image: Image | Slabs | ArrayLike, *, name: str) -> Image:
@@ -338,44 +360,6 @@ def _measure_baseline(exemplar: Image, windows: Windows | None, r_max: int) -> M
     field = gaussian_field(exemplar)
     fits = windows if windows and min(field.shape) >= min(exemplar.shape) else None
     return LabelDescriptors(r_max=r_max, level="default", windows=fits).measure(field)
-
-
-def _certificate(
-    reference: Reference,
-    image: Image,
-    name: str,
-    level: str,
-    baseline: tuple[dict[str, Metric], Measurements] | None,
-    measured: Measurements,
-    metrics: dict[str, Metric],
-) -> Certificate:
-    curves = {
-        "exemplar": reference.own.curves,
-        "image": measured.curves,
-        "parts": [p.curves for p in reference.parts],
-    }
-    about = {
-        "exemplar": about_image(reference.exemplar),
-        "image": about_image(image),
-        "level": level,
-    }
-    if measured.details:
-        about["physics"] = {"exemplar": reference.own.details, "image": measured.details}
-    if baseline:
-        curves["baseline"] = baseline[1].curves
-    notes = (
-        *exemplar_notes(reference),
-        *image_notes(reference.exemplar, image, metrics, measured),
-        *rates_note(reference.exemplar, image, level),
-    )
-    noise = baseline[0] if baseline else None
-    reasons = (*exemplar_reasons(reference), *level_reasons(reference, level, noise, metrics))
-    maps = {
-        who: local_fractions(each)
-        for who, each in (("exemplar", reference.own), ("image", measured))
-        if each.cells
-    }
-    return Certificate(metrics, notes, name, curves, about, noise, reasons, maps)
 
 
 def _add_diversity(certificates: list[Certificate], images: Sequence[Image]) -> list[Certificate]:

@@ -14,6 +14,7 @@ from trabecula.core.checks import check_name, check_type
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.engine.parallel import map_items
+from trabecula.measure.blockwise import images_at_once
 from trabecula.measure.copying import TurnedCopies, differences, diversity
 from trabecula.measure.copying.pair import ExemplarTrees
 from trabecula.measure.copying.turned import ENOUGH
@@ -240,6 +241,7 @@ def _find_copies(
         ],
         chosen,
         "searching copies",
+        most=images_at_once([one.shape for one in (*exemplars, *members)], level),
     )
     for n, found in zip(chosen, searched, strict=True):
         found = [each for each in found if each[0] is not None]

@@ -12,6 +12,7 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.engine.parallel import map_items
+from trabecula.measure.blockwise import images_at_once
 from trabecula.measure.correlation import decay_length, two_point
 from trabecula.measure.fractions import volume_fractions
 from trabecula.measure.registry import AT_LEAST, DESCRIPTORS
@@ -70,7 +71,8 @@ class EnsembleFigures:
 
     def measure_all(self, images: Sequence[Image], label: str) -> list[dict[str, float | None]]:
         """Measure every figure of every image; report under `label` how many are done."""
-        return map_items(self.measure, images, label, one_by_one=self.level == "full")
+        most = images_at_once([image.shape for image in images], self.level)
+        return map_items(self.measure, images, label, most=most)
 
     def title(self, name: str) -> str:
         """Return the title of a figure."""

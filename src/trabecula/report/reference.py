@@ -73,8 +73,8 @@ class Reference:
         Also search where every image was taken from.
     shape : sequence of int, optional
         Of parts, where they are to be smaller than halves.
-    one_by_one : bool
-        Measure no two at once (`map_items`).
+    most : int, optional
+        Images that are measured at once at most. Default: as many as threads.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Reference:
         *,
         copying: bool,
         shape: Sequence[int] | None = None,
-        one_by_one: bool = False,
+        most: int | None = None,
     ) -> None:
         self.exemplar, self.descriptors, self.copying = exemplar, descriptors, copying
         boxes = list(parts(exemplar, shape=shape))
@@ -92,7 +92,7 @@ class Reference:
             lambda one: descriptors.measure(one, part=one is not exemplar),
             [exemplar, *boxes],
             "measuring the exemplar and its parts",
-            one_by_one=one_by_one,
+            most=most,
         )
         self.exponent = min(map(scaling_exponent, self.own.evenness.values()), default=1.0)
         distances = [descriptors.distances(part, self.own) for part in self.parts]

@@ -176,7 +176,7 @@ class LocalFractions:
             found[channel] = np.interp(normal, _normal_levels(), self.levels[channel])
         return found
 
-    def given(self, fraction: np.ndarray) -> np.ndarray:
+    def given(self, fraction: np.ndarray | float) -> np.ndarray:
         """Return what to give for fractions of the higher of two phases to come out, in deviations
         from the mean.
         """

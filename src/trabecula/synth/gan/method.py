@@ -293,19 +293,18 @@ class GanModel(WindowModel):
         every place, one number on average, around which fractions vary as they do without.
         """
         assert self.local is not None
-        cell, by_place = self.config.cell, np.ndim(porosity) > 0
+        cell, wanted = self.config.cell, porosity
         if isinstance(porosity, np.ndarray):
-            means = cell_means(porosity, cell, inside=request.mask)
-        else:
-            means = np.full([-(-side // cell) for side in request.shape], porosity)
-        fractions = means if self._void_is_higher() else 1 - means
-        if by_place and not self._from_pictures:
-            return self.local.given(fractions)
-        varied = draw((0, 0, 0), fractions.shape)[0]
+            wanted = cell_means(porosity, cell, inside=request.mask)
+        fraction = wanted if self._void_is_higher() else 1 - wanted
+        if isinstance(fraction, np.ndarray) and not self._from_pictures:
+            return self.local.given(fraction)
+        sides = tuple(-(-side // cell) for side in request.shape)
+        varied = draw((0, 0, 0), sides)[0]
         if self._from_pictures:  # it has seen no place of an even fraction
-            return self.local.given(fractions) + (varied - varied.mean())
+            return self.local.given(fraction) + (varied - varied.mean())
         inside = None if request.mask is None else cell_means(request.mask, cell)
-        return self.local.around(varied, float(fractions.flat[0]), inside)
+        return self.local.around(varied, float(fraction), inside)
 
     def _void_is_higher(self) -> bool:
         """Tell whether the higher of the two labels is the void's."""

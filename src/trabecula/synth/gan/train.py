@@ -84,7 +84,8 @@ class _Training:
         self.evaluator = Evaluator(config, images, fields)
         self.state = self.evaluator.resume(self.pair)
         self.good = replace(self.state), self.pair.state()
-        self.sound, self.learnt = False, False  # at the last check; at any since it may have learnt
+        self.sound = False  # at the last check
+        self.learnt = False  # sound at a check after the first quarter of the warm-up
         self.written = time.monotonic()
 
     def run(self) -> dict[str, Any]:
@@ -111,10 +112,11 @@ class _Training:
             if look:
                 evaluated = done
                 state.count_stale(self.evaluator.evaluate(pair, state, step_losses))
+                tensors = pair.state()
                 if self.sound and self.learnt:
-                    self.good = replace(state), pair.state()
+                    self.good = replace(state), tensors
                 if self._worth_saving():
-                    self._save(pair.state())
+                    self._save(tensors)
             elif config.run and self._checkpoint_due() and self._worth_saving():
                 self._save(pair.state())
 
