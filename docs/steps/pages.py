@@ -70,7 +70,7 @@ _ALSO = {
 # comes last.
 _MEASURES = {
     "Everything at once": ("describe", "blockwise", "effective_properties"),
-    "Amount and surface": ("fractions", "minkowski"),
+    "Amount and surface": ("fractions", "minkowski", "curvatures"),
     "Sizes": ("thickness", "morphometry", "distance"),
     "Correlation": ("correlation",),
     "Connectivity": ("components", "labelling", "percolation"),

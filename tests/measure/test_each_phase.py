@@ -167,11 +167,10 @@ def test_what_two_phases_have_in_common_is_told_once(two):
     found = describe_phases(two, r_max=4)
     assert found["pairs"] == {} and found["triples"] == {}
     void, solid = found["phases"]["void"], found["phases"]["solid"]
-    assert set(solid) - set(void) == {"specific_surface", "two_point"}
+    common = {"specific_surface", "two_point", "shape_index"}
+    assert set(solid) - set(void) == common
     whole = describe(two, r_max=4)
-    assert not {"specific_surface", "two_point"} & (
-        set(whole["phases"]["void"]) | set(whole["phases"]["solid"])
-    )
+    assert not common & (set(whole["phases"]["void"]) | set(whole["phases"]["solid"]))
     assert whole["phases"]["void"] == void
     assert whole["phases"]["solid"] == {
         name: value for name, value in solid.items() if name in void

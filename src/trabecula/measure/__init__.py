@@ -37,6 +37,7 @@ from trabecula.measure.correlation import (
     two_point,
     two_point_cluster,
 )
+from trabecula.measure.curvatures import Curvatures, curvatures, shape_index
 from trabecula.measure.describe import describe, describe_texture
 from trabecula.measure.disector import disector_along, disector_euler_density
 from trabecula.measure.displacement import Displacement
@@ -90,6 +91,7 @@ from trabecula.measure.triple_lines import (
 __all__ = [
     "Bodies",
     "Coating",
+    "Curvatures",
     "Displacement",
     "Effective",
     "Evenness",
@@ -126,6 +128,7 @@ __all__ = [
     "correlation_length",
     "covariance_form",
     "cross_correlation",
+    "curvatures",
     "describe",
     "describe_network",
     "describe_phases",
@@ -168,6 +171,7 @@ __all__ = [
     "pore_size",
     "porosity",
     "relative_permeability",
+    "shape_index",
     "signed_distance",
     "size_distribution",
     "skeleton_graph",

@@ -74,11 +74,11 @@ def describe_slabs(
     -------
     descriptors : dict
         The keys of `describe`, with its values; the radial curve of large volumes within the
-        rounding errors of float32 (1e-7 of the pairs). `None` for `morphometry`, `anisotropy` and
-        `two_point_cluster`, which need the whole volume, with three phases or more for `triples`
-        and the `cross_correlation` of pairs, and for `pore_size` or `thickness` where slabs with
-        the largest sphere's planes on either side, twice, do not fit into memory: `notes` names
-        what was left out.
+        rounding errors of float32 (1e-7 of the pairs). `None` for `morphometry`, `anisotropy`,
+        `two_point_cluster` and `shape_index`, which need the whole volume, with three phases or
+        more for `triples` and the `cross_correlation` of pairs, and for `pore_size` or `thickness`
+        where slabs with the largest sphere's planes on either side, twice, do not fit into memory:
+        `notes` names what was left out.
 
     Raises
     ------
@@ -109,7 +109,12 @@ def describe_slabs(
     if DESCRIPTORS["thickness"].is_measured(level):
         _add_diameters(found, volume, most, memory)
     known = derive_phase_figures(volume.phases, found)
-    each = {name: known.get(name, {}) | found["phases"].get(name, {}) for name in volume.phases}
+    whole = [one for one in select(each="phase", source=CURVES) if not one.streams]
+    left_out: dict[str, Any] = dict.fromkeys(one.name for one in whole)
+    each = {
+        name: left_out | known.get(name, {}) | found["phases"].get(name, {})
+        for name in volume.phases
+    }
     found["phases"] = drop_redundant(each, redundant_beside_solid(volume.phases))
     if level == "full" and "void" in volume.phases:
         found |= describe_physics(volume.centre(box_sides(box, volume.shape)), halving=True)

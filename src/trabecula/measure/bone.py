@@ -15,6 +15,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
+from trabecula.measure.curvatures import derivatives
 from trabecula.measure.fabric import fabric
 from trabecula.measure.minkowski import minkowski
 from trabecula.measure.morphometry import MORPHOMETRY_POWERS, morphometry
@@ -134,34 +135,10 @@ def _curvatures(f, own, edges, total, start, stop):
             for x in range(1, width + 1):
                 if not own[plane, y - 1, x - 1]:
                     continue
-                middle = np.float64(f[z, y, x])
-                gz = (f[z + 1, y, x] - f[z - 1, y, x]) / (2 * edges[0])
-                gy = (f[z, y + 1, x] - f[z, y - 1, x]) / (2 * edges[1])
-                gx = (f[z, y, x + 1] - f[z, y, x - 1]) / (2 * edges[2])
+                gz, gy, gx, zz, yy, xx, zy, zx, yx = derivatives(f, z, y, x, edges)
                 square = gz * gz + gy * gy + gx * gx
                 if square < 1e-8:
                     continue
-                zz = (f[z + 1, y, x] + f[z - 1, y, x] - 2 * middle) / edges[0] ** 2
-                yy = (f[z, y + 1, x] + f[z, y - 1, x] - 2 * middle) / edges[1] ** 2
-                xx = (f[z, y, x + 1] + f[z, y, x - 1] - 2 * middle) / edges[2] ** 2
-                zy = (
-                    f[z + 1, y + 1, x]
-                    - f[z + 1, y - 1, x]
-                    - f[z - 1, y + 1, x]
-                    + f[z - 1, y - 1, x]
-                ) / (4 * edges[0] * edges[1])
-                zx = (
-                    f[z + 1, y, x + 1]
-                    - f[z + 1, y, x - 1]
-                    - f[z - 1, y, x + 1]
-                    + f[z - 1, y, x - 1]
-                ) / (4 * edges[0] * edges[2])
-                yx = (
-                    f[z, y + 1, x + 1]
-                    - f[z, y + 1, x - 1]
-                    - f[z, y - 1, x + 1]
-                    + f[z, y - 1, x - 1]
-                ) / (4 * edges[1] * edges[2])
                 along = gz * gz * zz + gy * gy * yy + gx * gx * xx
                 along += 2 * (gz * gy * zy + gz * gx * zx + gy * gx * yx)
                 total[plane] += (along / square - zz - yy - xx) / 2

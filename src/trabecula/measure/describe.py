@@ -14,6 +14,7 @@ from trabecula.core.image import Image, as_image
 from trabecula.core.progress import notify
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.measure.correlation import lineal_path, two_point, two_point_cluster
+from trabecula.measure.curvatures import has_curvatures, shape_index
 from trabecula.measure.each_phase import (
     PHASE_CURVES,
     collect_phases,
@@ -34,6 +35,8 @@ from trabecula.measure.thickness import pore_size, thickness
 
 SIZE_KEYS = ("pore_size", "thickness", "morphometry", "anisotropy")
 """What needs distances and directions, in the order of `describe`."""
+SOLID_CURVES = ("two_point_cluster", "shape_index")
+"""Curves of the solid alone, which need the whole image."""
 
 
 def describe(
@@ -65,14 +68,14 @@ def describe(
         `components`, `floating`, `floating_voxels`, `largest_fraction`, `percolates` and
         `percolating_fraction` (per axis), `chord_length`, `two_point` (per axis and radial, r = 0
         .. r_max voxels), `lineal_path`; from "default" on `pore_size`, `thickness`, `morphometry`
-        (by the names of bone histomorphometry), `anisotropy`, `two_point_cluster`; in "full"
-        `diffusivity` and `tortuosity` and `permeability` of the void, `conductivity` of the solid
-        (each per axis), `stiffness` of the solid (matrix and moduli), and `physics`, which says of
-        each whether it converged and what halving the voxel changes. Besides `shape`, `spacing`,
-        `unit`, `r_max`, `level`, and `notes` on margins without material (`find_margins`), and on
-        what is infinite or has not converged. Lengths are in `unit`; the curves run in voxels.
-        `None` where a value does not exist, such as the thickness of a phase that fills the image,
-        or was not asked for.
+        (by the names of bone histomorphometry), `anisotropy`, `two_point_cluster`,
+        `shape_index` (of volumes); in "full" `diffusivity` and `tortuosity` and `permeability` of
+        the void, `conductivity` of the solid (each per axis), `stiffness` of the solid (matrix and
+        moduli), and `physics`, which says of each whether it converged and what halving the voxel
+        changes. Besides `shape`, `spacing`, `unit`, `r_max`, `level`, and `notes` on margins
+        without material (`find_margins`), and on what is infinite or has not converged. Lengths are
+        in `unit`; the curves run in voxels. `None` where a value does not exist, such as the
+        thickness of a phase that fills the image, or was not asked for.
 
     Raises
     ------
@@ -124,6 +127,7 @@ def derive_phase_figures(
             "fraction": found["fractions"][solid],
             "lineal_path": found["lineal_path"],
             "two_point": None,
+            "shape_index": None,
         }
     return known
 
@@ -137,7 +141,7 @@ def outline_without_solid(
     outline = {"shape": list(image.shape), "spacing": list(image.spacing), "unit": image.unit}
     single = (one.name for one in select(source="", kind="labels"))
     solid = dict.fromkeys(
-        (*SOLID_NUMBERS, *SIZE_KEYS, *single, *PHASE_CURVES, "two_point_cluster", *PHYSICS)
+        (*SOLID_NUMBERS, *SIZE_KEYS, *single, *PHASE_CURVES, *SOLID_CURVES, *PHYSICS)
     )
     return {**outline, "fractions": fractions_of(counts, image.phases), "r_max": r_max, **solid}
 
@@ -203,15 +207,17 @@ def describe_curves(image: Image, *, r_max: int, level: str = "default") -> dict
         for axis, name in enumerate(AXES[3 - image.ndim :])
     }
     curves["radial"] = two_point(image, r_max=r_max)
-    cluster = None
+    solid: dict[str, Any] = dict.fromkeys(SOLID_CURVES)
     if DESCRIPTORS["two_point_cluster"].is_measured(level):
-        cluster = two_point_cluster(image, r_max=r_max).tolist()
+        solid["two_point_cluster"] = two_point_cluster(image, r_max=r_max).tolist()
+    if DESCRIPTORS["shape_index"].is_measured(level) and has_curvatures(image.shape):
+        solid["shape_index"] = shape_index(image).tolist()
     single = measure_one_by_one(image, level=level, curve=True, r_max=r_max)
     return {
         "r_max": r_max,
         "two_point": {name: curve.tolist() for name, curve in curves.items()},
-        "two_point_cluster": cluster,
         "lineal_path": lineal_path(image, r_max=r_max).tolist(),
+        **solid,
         **{
             name: None if curve is None else np.asarray(curve).tolist()
             for name, curve in single.items()

@@ -22,15 +22,22 @@ from trabecula.core.image import Image, as_image, check_labels, phase_index
 from trabecula.measure.configurations import count_cubes
 from trabecula.measure.contacts import contact_area
 from trabecula.measure.correlation import cross_correlation, lineal_path, two_point
+from trabecula.measure.curvatures import has_curvatures, shape_index
 from trabecula.measure.minkowski import densities
 from trabecula.measure.percolation import AXES
 from trabecula.measure.phases import as_inside, check_sides
-from trabecula.measure.registry import CURVES, LEVELS, measure_one_by_one, select
+from trabecula.measure.registry import (
+    CURVES,
+    DESCRIPTORS,
+    LEVELS,
+    measure_one_by_one,
+    select,
+)
 from trabecula.measure.streaming import CrossingTally, phase_figures
 from trabecula.measure.thickness import thickness
 from trabecula.measure.triple_lines import TripleLine, lines_of, mark_components
 
-SAME_FOR_TWO = ("specific_surface", "two_point")
+SAME_FOR_TWO = ("specific_surface", "two_point", "shape_index")
 """What two phases have in common."""
 PHASE_CURVES = tuple(one.name for one in select(each="phase", source=CURVES))
 
@@ -70,7 +77,7 @@ def describe_phases(
     image : Image or array of labels, (Z, Y, X) or (Y, X)
         Of any number of phases; none has to be named void.
     level : {"quick", "default", "full"}
-        "quick" leaves out thickness; "full" adds nothing here.
+        "quick" leaves out thickness and the shape index; "full" adds nothing here.
     r_max : int
         Largest distance of the curves, in voxels; lowered to half the smallest side.
     phase : str or int, optional
@@ -82,14 +89,15 @@ def describe_phases(
         `phases`: name -> `fraction`, `specific_surface`, `euler_density`, `mean_curvature`,
         `components`, `floating`, `floating_voxels`, `largest_fraction`, `percolates` and
         `percolating_fraction` (per axis), `chord_length`, `thickness`, `two_point` (per axis and
-        radial, r = 0 .. r_max voxels), `lineal_path`; neighbours share a face. `pairs`: "name-name"
-        -> `contact` (area per volume, see `contacts`) and `cross_correlation` (radial). `triples`:
-        "name-name-name" -> `line_density` and `active_share` (see `triple_phase_lines`). Names run
-        in the order of the labels; lengths are in the image's unit. `None` where a value does not
-        exist, such as the thickness of a phase that is empty or fills the image, or was left out.
-        With two phases `pairs` and `triples` are empty, and `specific_surface` and `two_point` are
-        reported of one phase only (of the other they are the same): the solid, or the last one
-        where none is named void.
+        radial, r = 0 .. r_max voxels), `lineal_path`, `shape_index` (of volumes, not at "quick");
+        neighbours share a face. `pairs`: "name-name" -> `contact` (area per volume, see `contacts`)
+        and `cross_correlation` (radial). `triples`: "name-name-name" -> `line_density` and
+        `active_share` (see `triple_phase_lines`). Names run in the order of the labels; lengths are
+        in the image's unit. `None` where a value does not exist, such as the thickness of a phase
+        that is empty or fills the image, or was left out. With two phases `pairs` and `triples` are
+        empty, and `specific_surface`, `two_point` and `shape_index` are reported of one phase only
+        (of the other they are the same, the shape index with the other sign): the solid, or the
+        last one where none is named void.
 
     Raises
     ------
@@ -112,7 +120,7 @@ def collect_phases(
     """
     known = known or {}
     numbers = measure_numbers(image, level=level, known=known, only=only)
-    curves = measure_curves(image, r_max=r_max, known=known, only=only)
+    curves = measure_curves(image, level=level, r_max=r_max, known=known, only=only)
     phases = {name: numbers.phases[name] | curves.phases[name] for name in numbers.phases}
     return {
         "phases": drop_redundant(phases, redundant_phases(image.phases, only)),
@@ -237,17 +245,26 @@ def _contact(image: Image, pair: tuple[str, str], cubes: Mapping[str, np.ndarray
 
 
 def measure_curves(
-    image: Image, *, r_max: int, known: Known, only: str | None = None, cross: bool = True
+    image: Image,
+    *,
+    level: str,
+    r_max: int,
+    known: Known,
+    only: str | None = None,
+    cross: bool = True,
 ) -> PhaseCurves:
     """Measure the curves, r = 0 .. r_max voxels; cross-correlations of pairs where `cross`."""
     names = image.phases
+    shaped = DESCRIPTORS["shape_index"].is_measured(level) and has_curvatures(image.shape)
     phases: dict[str, dict[str, Any]] = {}
     for name in names if only is None else (only,):
         found = dict(known.get(name, {}))
+        repeats = name in redundant_phases(names, only)
         if "two_point" not in found:
-            found["two_point"] = (
-                None if name in redundant_phases(names, only) else _two_point(image, name, r_max)
-            )
+            found["two_point"] = None if repeats else _two_point(image, name, r_max)
+        if "shape_index" not in found:
+            own = shaped and not repeats
+            found["shape_index"] = _as_list(shape_index(image, phase=name)) if own else None
         if "lineal_path" not in found:
             found["lineal_path"] = _as_list(lineal_path(image, phase=name, r_max=r_max))
         phases[name] = {curve: found[curve] for curve in PHASE_CURVES}

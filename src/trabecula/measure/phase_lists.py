@@ -18,7 +18,7 @@ from trabecula.measure.each_phase import (
 )
 from trabecula.measure.registry import DESCRIPTORS, select
 
-VOID_REPORTED = ("specific_surface", "mean_curvature", "thickness", "two_point")
+VOID_REPORTED = ("specific_surface", "mean_curvature", "thickness", "two_point", "shape_index")
 """What is reported of the void already where the solid phases are taken together: their interface,
 S2, and `pore_size`.
 """
@@ -99,8 +99,9 @@ def phase_curves(
     Returns
     -------
     curves : dict
-        `two_point_PHASE` (radial), `two_point_PHASE_AXIS` (z, y, x), `lineal_path_PHASE`, and with
-        three phases or more `cross_PHASE_PHASE` (radial).
+        `two_point_PHASE` (radial), `two_point_PHASE_AXIS` (z, y, x), `lineal_path_PHASE`,
+        `shape_index_PHASE` (of volumes), and with three phases or more `cross_PHASE_PHASE`
+        (radial).
 
     Raises
     ------
@@ -110,15 +111,16 @@ def phase_curves(
     image = as_labels(image, "quick")
     redundant = _redundant_figures(image.phases)
     known = {name: dict.fromkeys(keys) for name, keys in redundant.items()}
-    found = measure_curves(image, r_max=r_max, known=known, cross=cross)
+    found = measure_curves(image, level="default", r_max=r_max, known=known, cross=cross)
     curves: dict[str, np.ndarray] = {}
     for phase, figures in found.phases.items():
         for along, curve in (figures["two_point"] or {}).items():
             curves[f"two_point_{phase}" + ("" if along == "radial" else f"_{along}")] = np.array(
                 curve
             )
-        if figures["lineal_path"] is not None:
-            curves[f"lineal_path_{phase}"] = np.array(figures["lineal_path"])
+        for name in ("lineal_path", "shape_index"):
+            if figures[name] is not None:
+                curves[f"{name}_{phase}"] = np.array(figures[name])
     return curves | {f"cross_{'_'.join(pair)}": curve for pair, curve in found.pairs.items()}
 
 

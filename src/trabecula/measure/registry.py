@@ -23,6 +23,7 @@ from trabecula.measure.correlation import (
     two_point,
     two_point_cluster,
 )
+from trabecula.measure.curvatures import shape_index
 from trabecula.measure.drainage import entry_radius
 from trabecula.measure.fabric import anisotropy
 from trabecula.measure.fractions import porosity, specific_surface, volume_fractions
@@ -375,6 +376,18 @@ _TABLE = (
         source=PLANES, power=-2,
         field=curvature_field, each=("phase",), streams=True,
         meaning="Integral of the mean curvature per volume; specks and rough surfaces raise it.",
+    ),
+    _curve(
+        name="shape_index", title="Shape index of the interface", measure=shape_index,
+        source=CURVES, level="default", each=("phase",), in_slices=False,
+        meaning="Share of the interface by its shape, 17 bins around -1 (a round pore), -7/8, .. 1 "
+        "(a ball); -1/2 is a channel, 0 a saddle, 1/2 a rod. 3-D.",
+    ),
+    _distance(
+        name="shape_index_distance", title="Shape index of the interface, relative", group="shape",
+        of="the solid", level="default", compares="shape_index", in_slices=False,
+        meaning="Relative l2 of the distribution of the shape index: straight fibres that came out "
+        "as knots, or grains as lumps, differ here though sizes agree.",
     ),
     _shape(
         name="chord_length", title="Chord length", measure=chord_length, source=PLANES, power=1,

@@ -18,7 +18,12 @@ from trabecula.measure.blockwise import count_slabs, fitting_depth, names_withou
 from trabecula.measure.components import component_sizes, sizes_distance
 from trabecula.measure.correlation import covariance_form
 from trabecula.measure.correlation.lineal_path import segments_that_fit
-from trabecula.measure.describe import autocorrelation_lines, describe_curves, describe_numbers
+from trabecula.measure.describe import (
+    SOLID_CURVES,
+    autocorrelation_lines,
+    describe_curves,
+    describe_numbers,
+)
 from trabecula.measure.effective_properties import describe_physics, finite
 from trabecula.measure.evenness import Evenness
 from trabecula.measure.grey import grey_values, histogram, kullback_leibler, ten_bins
@@ -169,6 +174,8 @@ class LabelDescriptors:
         }
         distances = {one.compares: one.name for one in select(kind="labels") if one.compares}
         for name, own in exemplar.curves.items():
+            if name not in image.curves:  # one of them is too thin for it
+                continue
             curve = image.curves[name]
             stems = [known for known in distances if f"{name}_".startswith(f"{known}_")]
             if not stems:
@@ -344,7 +351,7 @@ def _curves_of(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
         "lineal_path": np.array(found["lineal_path"]),
     }
     single = [one.name for one in select(source="", kind="labels") if one.curve]
-    for name in ("two_point_cluster", *single):
+    for name in (*SOLID_CURVES, *single):
         if found[name] is not None:
             curves[name] = np.array(found[name])
     along = {

@@ -16,6 +16,7 @@ import numpy as np
 from trabecula.core.errors import FileError, InputError
 from trabecula.engine.files import replacing
 from trabecula.measure.correlation import covariance_form
+from trabecula.measure.curvatures import SHAPES
 from trabecula.measure.registry import DESCRIPTORS, GROUPS, select
 from trabecula.report.metrics import find_descriptor, group_verdicts
 from trabecula.report.plot import curve_plot, density_map, hatching, key, place_plot
@@ -43,6 +44,7 @@ _CURVES = {
     "two_point": "Two-point function, radial",
     "covariance": "Two-point function, covariance form",
     "two_point_cluster": "Two-point cluster function",
+    "shape_index": "Shape index of the interface",
     "lineal_path": "Lineal path of the solid",
     "lineal_path_void": "Lineal path of the void",
     "two_point_axis_z": "Two-point function along z",
@@ -53,6 +55,14 @@ _CURVES = {
     "autocorrelation_z": "Autocorrelation along z",
     "autocorrelation_y": "Autocorrelation along y",
     "autocorrelation_x": "Autocorrelation along x",
+}
+
+_SHAPES = "-1 pore, -.5 channel, 0 saddle, .5 rod, 1 ball"
+# curves over bins instead of distances: as `_axis`
+_BINS = {
+    "histogram": ("bin", 0.0, 1.0),
+    "orientation": ("bin", 0.0, 1.0),
+    "shape_index": (_SHAPES, float(SHAPES[0]), float(SHAPES[1] - SHAPES[0])),
 }
 
 
@@ -312,14 +322,16 @@ def _curves(certificates: Sequence[Certificate]) -> str:
     figures = []
     for name, title in _curve_titles(lines["exemplar"]).items():
         if name in lines["exemplar"]:
-            spread = np.array([part[name] for part in parts])
+            spread = np.array([part[name] for part in parts if name in part])
+            label, start, step = _axis(name, first.about["image"])
             figures.append(
                 curve_plot(
                     {who: curves[name] for who, curves in lines.items() if name in curves},
                     title=title,
-                    x_label=_x_label(name, first.about["image"]["unit"]),
+                    x_label=label,
                     band=(spread.min(axis=0), spread.max(axis=0)) if len(spread) else None,
-                    step=_step(name, first.about["image"]["spacing"]),
+                    first=start,
+                    step=step,
                     baseline=baseline,
                 )
             )
@@ -334,7 +346,7 @@ def _curve_titles(curves: Mapping[str, Any]) -> dict[str, str]:
     """Return the titles of the curves that are drawn; of single phases and pairs without those
     along an axis.
     """
-    stems = {name: DESCRIPTORS[name].title for name in ("two_point", "lineal_path")}
+    stems = {name: DESCRIPTORS[name].title for name in ("two_point", "lineal_path", "shape_index")}
     stems["cross"] = DESCRIPTORS["cross_correlation"].title
     single = {one.name: one.title for one in select(source="") if one.curve}
     found = _CURVES | {name: title for name, title in single.items() if name in curves}
@@ -353,15 +365,14 @@ def _with_covariance(curves: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return found
 
 
-def _x_label(name: str, unit: str) -> str:
-    return {"histogram": "bin", "orientation": "bin"}.get(name, f"r ({unit})")
-
-
-def _step(name: str, spacing: Sequence[float]) -> float:
-    if name in ("histogram", "orientation"):
-        return 1.0
+def _axis(name: str, image: Mapping[str, Any]) -> tuple[str, float, float]:
+    """Return the label of a curve's axis, the place of its first point, and the step."""
+    stem = next((known for known in _BINS if f"{name}_".startswith(f"{known}_")), None)
+    if stem:
+        return _BINS[stem]
+    spacing = image["spacing"]
     axis = "zyx"[3 - len(spacing) :].find(name[-1]) if name[-2:-1] == "_" else -1
-    return spacing[axis] if axis >= 0 else min(spacing)
+    return f"r ({image['unit']})", 0.0, spacing[axis] if axis >= 0 else min(spacing)
 
 
 def _section(certificate: Certificate) -> str:

@@ -50,8 +50,10 @@ def curve_plot(
     )
     everything = np.concatenate([*lines.values(), low, high])
     bottom, top = min(0.0, everything.min()), max(everything.max(), 1e-12)
+    left = min(0.0, first)
     right = first + step * max(1, max(len(line) for line in lines.values()) - 1)
-    across = np.array([_LEFT, (_WIDTH - _LEFT - _RIGHT) / right])
+    scale = (_WIDTH - _LEFT - _RIGHT) / (right - left)
+    across = np.array([_LEFT - scale * left, scale])
     up = np.array([_HEIGHT - _BOTTOM, -(_HEIGHT - _TOP - _BOTTOM) / (top - bottom)])
 
     def points(curve: np.ndarray) -> list[str]:
@@ -70,7 +72,7 @@ def curve_plot(
             f'<text class="tick" x="{_LEFT - 6}" y="{y + 3.5:.1f}" '
             f'text-anchor="end">{tick:g}</text>'
         )
-    for tick in ticks(0, right):
+    for tick in ticks(left, right):
         x = across[0] + across[1] * tick
         body.append(
             f'<text class="tick" x="{x:.1f}" y="{_HEIGHT - 22}" '
