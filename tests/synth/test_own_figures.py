@@ -87,3 +87,14 @@ def test_a_run_names_what_is_off_and_records_all():
         .generate(36, seed=0, target={"porosity": 0.7})
     )
     assert "figures" not in replayed.recipe.steps[-1].get("report", {})
+
+
+def test_rods_that_became_rows_of_balls_differ_in_shape():
+    z, y, x = np.mgrid[:96, :96, :96] % 16 - 7.5
+    rods = (y**2 + x**2 < 5**2).astype(np.uint8)
+    balls = (z**2 + y**2 + x**2 < 7.5**2).astype(np.uint8)
+    own = OwnFigures.of(tb.Image(rods, "labels"), box=96)
+    same, other = (figures_of(own, tb.Image(one, "labels")) for one in (rods, balls))
+    assert not same["shape index"].is_off and same["shape index"].is_distance
+    assert other["shape index"].is_off
+    assert "shape index off by" in off_line(other)

@@ -70,7 +70,10 @@ class OwnFigures:
     own, spreads : mapping of str to float
         Figures, and the share of it by which each differs between the parts.
     curves : mapping of str to array
-        Two-point functions in covariance form; their `spreads` are distances to them.
+        Two-point functions in covariance form, and shares of the shape index; their `spreads` are
+        distances to them.
+    reach : int
+        Voxels: the largest distance of the two-point functions.
     size : int
         Voxels of the centre.
     """
@@ -80,6 +83,7 @@ class OwnFigures:
     own: Mapping[str, float]
     spreads: Mapping[str, float]
     curves: Mapping[str, np.ndarray]
+    reach: int
     size: int
 
     @classmethod
@@ -98,7 +102,7 @@ class OwnFigures:
         for name, curve in curves.items():
             apart = [_distance(one[name], curve) for one in lines]
             spreads[name] = math.hypot(*apart) / math.sqrt(len(apart))
-        return cls(names, box, own, spreads, curves, middle.values.size)
+        return cls(names, box, own, spreads, curves, reach, middle.values.size)
 
     def compare(self, exemplar: Image, values: np.ndarray) -> dict[str, Figure]:
         """Return the figures of the values of a result by name; empty where it is too small, and
@@ -110,8 +114,7 @@ class OwnFigures:
         scale = math.sqrt((1 + self.size / middle.values.size) / 8)
         told = {name: spread * scale for name, spread in self.spreads.items()}
         told = {name: spread for name, spread in told.items() if spread < _VAGUE}
-        reach = max((len(curve) for curve in self.curves.values()), default=1)
-        numbers, lines = _numbers(middle, self.names), _curves(middle, self.names, reach)
+        numbers, lines = _numbers(middle, self.names), _curves(middle, self.names, self.reach)
         found = {
             name: Figure(numbers[name] / self.own[name], told[name])
             for name in numbers
@@ -172,13 +175,15 @@ def _numbers(image: Image, names: Mapping[str, str]) -> dict[str, float]:
 
 
 def _curves(image: Image, names: Mapping[str, str], reach: int) -> dict[str, np.ndarray]:
-    """Return the two-point functions of all phases but the first, in covariance form."""
-    return {
-        f"two-point function{names[phase]}": measure.covariance_form(
-            measure.two_point(image, r_max=reach, phase=phase)
-        )[1:]
-        for phase in list(names)[1:]
-    }
+    """Return of all phases but the first the two-point function in covariance form, and the
+    distribution of the shape index.
+    """
+    found = {}
+    for phase in list(names)[1:]:
+        pairs = measure.two_point(image, r_max=reach, phase=phase)
+        found[f"two-point function{names[phase]}"] = measure.covariance_form(pairs)[1:]
+        found[f"shape index{names[phase]}"] = measure.shape_index(image, phase=phase)
+    return found
 
 
 def _distance(line: np.ndarray, own: np.ndarray) -> float:
