@@ -18,7 +18,7 @@ from descriptors import GREY, scans
 from trabecula.core.seeds import generator
 from trabecula.report.descriptors import LabelDescriptors
 from trabecula.report.evenness import choose_windows
-from trabecula.report.reference import Reference
+from trabecula.report.reference import Reference, search_copies
 from trabecula.report.verdict import Metric
 from trabecula.synth.texture import CAPABILITIES
 from trabecula.synth.texture.config import TextureConfig
@@ -84,7 +84,8 @@ def reference_of(exemplar: tb.Image) -> Reference:
 
 def judged(reference: Reference, image: tb.Image) -> dict[str, Metric]:
     """The metrics of `tb.verify`."""
-    return reference.judge(image, reference.measure(image))
+    copies = search_copies(reference.exemplar, image)
+    return reference.judge(reference.measure(image), copies)
 
 
 # How a figure is told: as it is, as a whole number, times 100, or over the exemplar's own.
@@ -100,6 +101,7 @@ FIGURES = {
     "pore size": ("pore_size", _RATIO),
     "spread": ("fraction_spread_large", _RATIO),
     "lineal": ("lineal_path_distance", _PLAIN),
+    "shape": ("shape_index_distance", _PLAIN),
     "coh(4)": ("coherence", _PLAIN),
 }
 
@@ -188,17 +190,17 @@ def fidelity() -> None:
 
 
 RUNS = (
-    ("coarse", 1.25, (1,)),
     ("structure", 1.25, (1, 2, 3)),
-    ("structure", 2.0, (1,)),
+    ("rounds", 1.25, (1, 2, 3)),
+    ("rounds", 2.0, (1,)),
 )
-"""Layout (the first default's, and that of now), sides over the exemplar's, and seeds."""
+"""Layout (the default's of before, and that of now), sides over the exemplar's, and seeds."""
 
 
 def materials() -> None:
-    """1.25 times and twice the side of the central 96^3 of every exemplar, with the layout of 0.1
-    and with that of now: how many figures of `verify` lie outside their bands, some of them, and
-    the names of those outside.
+    """1.25 times and twice the side of the central 96^3 of every exemplar, with the layout of
+    before and with that of now: how many figures of `verify` lie outside their bands, some of them,
+    and the names of those outside.
     """
     judge_materials(96, RUNS)
 
@@ -207,14 +209,14 @@ def crops() -> None:
     """The same of 80^3 from the central 64^3, seed 1, the default alone: all materials in few
     minutes.
     """
-    judge_materials(64, (("structure", 1.25, (1,)),))
+    judge_materials(64, (("rounds", 1.25, (1,)),))
 
 
 def judge_materials(side: int, runs: Sequence[tuple[str, float, Sequence[int]]]) -> None:
     """Print a row for every run from the central `side`^3 of every exemplar, and the figures out of
     band.
     """
-    names = ("S2 cov", "thickness", "Euler", "pore size", "coh(4)")
+    names = ("S2 cov", "shape", "thickness", "Euler", "pore size", "coh(4)")
     row = table("exemplar, layout, sides, seed", "out", "of", *names, "CPU s", wide=36)
     for name, whole in wholes().items():
         exemplar = tb.crop(whole, [min(side, edge) for edge in whole.shape])

@@ -78,7 +78,7 @@ def _reference_of(exemplar: tb.Image) -> Reference:
 
 def _levels(reference: Reference, exemplar: tb.Image, made: tb.Image) -> tuple[object, ...]:
     """Return the cells that describe grey values."""
-    metrics = reference.judge(made, reference.measure(made))
+    metrics = reference.judge(reference.measure(made), None)
     decided = [metric.passed for metric in metrics.values() if metric.passed is not None]
     ratio = (_spectrum(made) / _spectrum(exemplar))[1:]
     return (

@@ -34,10 +34,14 @@ def judge(monkeypatch, outside):
 def test_the_trial_with_the_fewest_figures_out_of_band_is_taken(bone, monkeypatch):
     judge(monkeypatch, [3, 1, 2])
     chosen, made = tb.choose_settings(tb.method("texture", tries=1), bone)
-    assert [dict(trial.settings) for trial in made] == [{}, {"novelty": 0.5}, {"layout": "coarse"}]
+    assert [dict(trial.settings) for trial in made] == [
+        {},
+        {"layout": "structure"},
+        {"novelty": 0.5},
+    ]
     assert [len(trial.outside) for trial in made] == [3, 1, 2]
-    assert chosen.config == tb.method("texture", tries=1, novelty=0.5).config
-    assert str(made[1]) == "novelty=0.5: 1 of 5 figures out of band: figure 0"
+    assert chosen.config == tb.method("texture", tries=1, layout="structure").config
+    assert str(made[1]) == "layout=structure: 1 of 5 figures out of band: figure 0"
 
 
 @pytest.mark.whole
@@ -46,7 +50,7 @@ def test_of_equals_the_settings_as_they_are_stay_and_what_was_set_is_not_tried(b
     asked = tb.method("texture", novelty=1.0, sweeps=1)
     chosen, made = tb.choose_settings(asked, bone)
     assert chosen.config == asked.config
-    assert [dict(trial.settings) for trial in made] == [{}, {"layout": "coarse"}]
+    assert [dict(trial.settings) for trial in made] == [{}, {"layout": "structure"}]
 
 
 def test_effort_1_tries_nothing(bone):
@@ -78,7 +82,7 @@ def test_the_command_line_tells_every_trial_and_records_the_settings(tmp_path, b
     assert len(lines) == 3
     counts = [int(line.split(": ")[2].split(" of ")[0]) for line in lines]
     recorded = tb.read(out).recipe.steps[-1]["settings"]
-    taken = ({}, {"novelty": 0.5}, {"layout": "coarse"})[int(np.argmin(counts))]
+    taken = ({}, {"layout": "structure"}, {"novelty": 0.5})[int(np.argmin(counts))]
     assert all(recorded[name] == value for name, value in taken.items())
     again = tb.method("texture", **taken).fit(tb.read(scan)).generate(32, seed=3)
     assert np.array_equal(tb.read(out).values, again.values)

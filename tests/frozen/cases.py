@@ -300,12 +300,12 @@ def _texture_grey_fixed() -> tb.Image:
 
 
 @case("texture-beside")
-def _texture_beside() -> tb.Image:
+def _texture_beside(**settings: str) -> tb.Image:
     shape = (48, 32, 33)
     known = np.zeros(shape, bool)
     known[:24] = True
     held = tb.crop(tb.sample("bone"), shape, corner=(0, 0, 0))
-    learned = tb.method("texture", sweeps=1, tries=2).fit(bone(40))
+    learned = tb.method("texture", sweeps=1, tries=2, **settings).fit(bone(40))
     return learned.generate(shape, seed=6, fixed=held, known=known)
 
 
@@ -326,10 +326,23 @@ def _texture_default() -> tb.Image:
     return tb.method("texture").fit(bone(24)).generate(SHAPE, seed=6)
 
 
+@case("texture-sliced-layout")
+def _texture_sliced_layout() -> tb.Image:
+    """Make what the default of before, which was laid out by sliced rounds, made."""
+    return tb.method("texture", layout="structure").fit(bone(24)).generate(SHAPE, seed=6)
+
+
 @case("texture-plain-votes")
 def _texture_plain_votes() -> tb.Image:
-    """Make what a default of before, whose votes were plain means of distances, made."""
-    return tb.method("texture", vote_power=1.0).fit(bone(24)).generate(SHAPE, seed=6)
+    """Make what a default of before that, whose votes were plain means of distances, made."""
+    settings = {"layout": "structure", "vote_power": 1.0}
+    return tb.method("texture", **settings).fit(bone(24)).generate(SHAPE, seed=6)
+
+
+@case("texture-sliced-beside")
+def _texture_beside_sliced() -> tb.Image:
+    """Make what the default of before made beside known voxels."""
+    return _texture_beside(layout="structure")
 
 
 @case("texture-energy")

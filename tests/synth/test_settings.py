@@ -53,7 +53,7 @@ def test_every_setting_has_a_meaning_and_presets_replay(name):
         ("texture", "clip", "voxels", "2 .. 20"),
         ("texture", "rounds", "", "each 1 .. 100"),
         ("texture", "adaptive", "", "true, false"),
-        ("texture", "layout", "", "structure, coarse"),
+        ("texture", "layout", "", "rounds, structure, coarse"),
         ("quilt", "patch", "voxels", "0, 4 .. 64"),
         ("gan", "rate", "", "1e-6 .. 0.1"),
         ("gan", "minutes", "minutes", "0 .. 100000"),

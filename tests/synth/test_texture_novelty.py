@@ -340,6 +340,43 @@ def test_the_layout_is_on_the_level_of_the_structure():
     assert novel_layout.top_for([tb.crop(board, 24)], "structure") == 1
 
 
+def test_rounds_begin_on_a_coarser_level_where_there_is_room():
+    """From 4 voxels of the structure's length on; in 64 voxels wide neighbourhoods would be few, and
+    copied whole.
+    """
+    for edge, level in [(6, 1), (12, 2)]:
+        cells = np.indices((96, 96, 96)) // edge
+        board = tb.Image((cells.sum(axis=0) % 2).astype(np.uint8), "labels")
+        assert novel_layout.top_for([board], "rounds") == level
+        assert novel_layout.top_for([tb.crop(board, 64)], "rounds") == 1
+
+
+def test_rounds_of_fine_structures_begin_with_narrow_neighbourhoods():
+    """A wide one would hold several bodies, and copy them together."""
+    for edge, width in [(4, 6), (12, 8)]:
+        cells = np.indices((64, 64, 64)) // edge
+        board = tb.Image((cells.sum(axis=0) % 2).astype(np.uint8), "labels")
+        assert novel_layout.first_width([board]) == width
+        first = novel_layout.passes(1.0, 1, "rounds", width=width)[0]
+        assert (first.level, first.width) == (1, width)
+    model = tb.method("texture").fit(tb.crop(tb.sample("cells"), 40))
+    assert model.aims[1].candidates[0].basis.width == 6
+
+
+def test_rounds_begin_with_noise():
+    image = tb.crop(tb.sample("bone"), 40)
+    model = tb.method("texture").fit(image)
+    assert model.slices is None
+    rounds = model._novel_rounds(tb.Request((40, 40, 40)))
+    assert rounds.open_stage(0).rounds == 0
+    for novelty, top in ((1.0, 1), (1.0, 2), (0.5, 2)):
+        first, *later = novel_layout.passes(novelty, top, "rounds")
+        assert first.level == top and first.width == 8 and not first.carried
+        # novelty goes to the first pass alone
+        assert first.rounds > later[0].rounds
+        assert later == list(novel_layout.passes(1.0, top, "rounds")[1:])
+
+
 def test_exemplars_without_an_interface_are_laid_out_on_the_coarsest_level():
     blocks = [tb.Image(np.full((48, 48, 48), label, np.uint8), "labels") for label in (0, 1)]
     assert novel_layout.structure_length(blocks) == np.inf

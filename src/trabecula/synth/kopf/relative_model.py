@@ -47,7 +47,7 @@ class RelativeModel:
 
     adapted: AdaptedRelative
     aims: tuple[novel_layout.Aims, ...]
-    slices: SliceTarget
+    slices: SliceTarget | None
     schedule: tuple[novel_layout.Pass, ...]
     small: Mapping[int, SmallBodies]
     settings: RelativeSettings

@@ -1,11 +1,15 @@
 """New material rather than moved patches: the way of `texture` with `novelty`, and of a picture
 beside a relative in space.
 
-The coarsest level is laid out by sliced rounds, which copy nothing; then a few rounds of search and
-vote with narrow neighbourhoods make interfaces those of the exemplar. After each a step on the
-two-point function keeps what narrow neighbourhoods lose, and a step on long waves keeps the
-material as even as the exemplar. All of it on a torus, so that no place is special: an axis that is
-not to repeat is cut to its length.
+It begins with noise on a coarse level. Rounds of search and vote with wide neighbourhoods give it
+bodies of the exemplar's shapes, on finer levels a few with narrow ones the exemplar's interfaces.
+After each a step on the two-point function keeps what neighbourhoods lose, and a step on long waves
+keeps the material as even as the exemplar. All of it on a torus, so that no place is special: an
+axis that is not to repeat is cut to its length.
+
+In the layouts of before ("structure", and "coarse" before that) sliced rounds made the coarse level
+instead. They copy nothing, and they know neighbourhoods by histograms alone: bodies come out as
+those of a random field.
 """
 
 from __future__ import annotations
@@ -62,14 +66,21 @@ from trabecula.synth.shared.statistics.two_point_steps import (
 )
 
 COARSEST = 2
-"""The level that sliced rounds lay out, at most: 4 times coarser than the result."""
+"""The level that is laid out, at most: 4 times coarser than the result."""
 
-_FINE = 1.5
-"""Voxels that the structure's length has at least on that level, if it is not level 1: where it has
-fewer, bodies lose their form."""
+_FINE = {"rounds": 1.0, "structure": 1.5}
+"""Voxels that the structure's length has at least on that level, if it is not level 1, by layout:
+where it has fewer, bodies lose their form, or are copied whole."""
 
 LEAST = 8
 """Voxels that the exemplar and the result need on that level along every axis."""
+
+_ROOMY = 20
+"""Voxels that the exemplar has there along every axis for wide neighbourhoods on level 2."""
+
+_NARROW_BELOW = 2.0
+"""Voxels of the structure's length below which a wide neighbourhood on level 1 holds several
+bodies, and rounds from noise copy them together."""
 
 WIDTH = 6
 """Of the neighbourhoods of the passes, voxels: they keep interfaces and forget where these led."""
@@ -81,14 +92,16 @@ _STRENGTH, _SLICED_STEP = 2.5, 2
 _STEP_EVERY = 5  # sliced rounds
 # by layout: sliced rounds, and at most so many components of their neighbourhoods
 _SLICED = {"coarse": (30, 64), "structure": (20, 32)}
+# rounds of search and vote from noise: on level 2, then on level 1; on level 1 where it comes first
+_FROM_NOISE, _THEN, _FIRST = 10, 8, 8
 _MOVED = 16  # rounds on the coarsest level at hardly any novelty
 _WIDE_FROM = 5  # so many of them let finer levels have wide neighbourhoods
 _WIDEST = 8  # voxels of the widest neighbourhood
 
 
 class NovelSettings(Protocol):
-    """Settings of a run: the layout ("structure" or "coarse"), what is kept of neighbourhoods, and
-    how they are searched for and vote.
+    """Settings of a run: the layout ("rounds", "structure" or "coarse"), what is kept of
+    neighbourhoods, and how they are searched for and vote.
     """
 
     @property
@@ -158,26 +171,36 @@ class Aims:
         return replace(self, histograms=histograms, correlations=correlations, interface=share)
 
 
-def passes(novelty: float, top: int, layout: str, *, beside: bool = False) -> tuple[Pass, ...]:
-    """List the passes from the level that sliced rounds lay out to the finest one.
+def passes(
+    novelty: float, top: int, layout: str, *, width: int = _WIDEST, beside: bool = False
+) -> tuple[Pass, ...]:
+    """List the passes from the level that is laid out to the finest one.
 
-    Less than full novelty lets neighbourhoods of the exemplar into the layout, and then widens
-    those of finer levels. `beside` known voxels there are no steps: a hole is too small to have
-    the two-point function of the material, and interfaces would be cut into combs for it.
+    From noise the first have neighbourhoods of `width` (`first_width`). Less than full novelty lets
+    more neighbourhoods of the exemplar into the layout, and after sliced rounds widens those of
+    finer levels. `beside` known voxels there are no steps: a hole is
+    too small to have the two-point function of the material, and interfaces would be cut into combs
+    for it.
     """
     moved = round(_MOVED * (1 - novelty))
     wide = moved >= _WIDE_FROM
-    whole = layout == "structure"
-    width = WIDTH if wide or (whole and top == 1) else 5  # of the first pass on the finest level
+    whole, sliced = is_whole(layout), layout in _SLICED
+    # of the first pass on the finest level
+    narrow = WIDTH if wide or not sliced or (whole and top == 1) else 5
     coarser: list[Pass] = []
-    if top == COARSEST:
+    if not sliced and top == COARSEST:
+        coarser.append(Pass(2, width, 1, _FROM_NOISE + moved, 1))
+        coarser.append(Pass(1, _WIDEST, 2, _THEN, 1))
+    elif not sliced:
+        coarser.append(Pass(1, width, 2, _FIRST + moved, 1))
+    elif top == COARSEST:
         if moved:
-            coarser.append(Pass(2, 8, 1, moved, 2))
-        coarser.append(Pass(1, 8 if wide else WIDTH, 1, 4, 4))
+            coarser.append(Pass(2, _WIDEST, 1, moved, 2))
+        coarser.append(Pass(1, _WIDEST if wide else WIDTH, 1, 4, 4))
     elif whole:
-        coarser.append(Pass(1, 8, 2, 4 + moved, 4))
+        coarser.append(Pass(1, _WIDEST, 2, 4 + moved, 4))
     finest = (
-        Pass(0, width, 2, 2, 2, beyond=1.7, roughest=1.1),
+        Pass(0, narrow, 2, 2, 2, beyond=1.7, roughest=1.1),
         Pass(0, WIDTH, 2, 1, 1, beyond=0.0),
     )
     if whole:
@@ -189,6 +212,13 @@ def passes(novelty: float, top: int, layout: str, *, beside: bool = False) -> tu
     if beside:
         return tuple(replace(p, steps=0, beyond=0.0) for p in every)
     return every
+
+
+def is_whole(layout: str) -> bool:
+    """Return whether a layout is on the level of the structure, and its steps see all directions of
+    a torus; the oldest is not, and does not.
+    """
+    return layout != "coarse"
 
 
 def structure_length(exemplars: Sequence[Image]) -> float:
@@ -208,18 +238,26 @@ def structure_length(exemplars: Sequence[Image]) -> float:
 
 
 def top_for(exemplars: Sequence[Image], layout: str) -> int:
-    """Return the level that sliced rounds lay out, for the exemplars' size and structure (of
-    grey values or colours: for their size); 0: there is no room for one.
+    """Return the level that is laid out, for the exemplars' size and structure (of grey values or
+    colours: for their size); 0: there is no room for one.
     """
     smallest = min(min(image.shape) for image in exemplars)
     top = COARSEST
-    if layout == "structure" and exemplars[0].kind == "labels":
+    if is_whole(layout) and exemplars[0].kind == "labels":
         length = structure_length(exemplars)
-        while top > 1 and length < _FINE * 2**top:
+        while top > 1 and length < _FINE[layout] * 2**top:
             top -= 1
+    if layout not in _SLICED and smallest < _ROOMY * 2**COARSEST:
+        top = min(top, 1)
     while top and smallest // 2**top < LEAST:
         top -= 1
     return top
+
+
+def first_width(exemplars: Sequence[Image]) -> int:
+    """Return the width of the neighbourhoods that rounds from noise begin with, voxels."""
+    fine = exemplars[0].kind == "labels" and structure_length(exemplars) < _NARROW_BELOW
+    return WIDTH if fine else _WIDEST
 
 
 def has_room(shape: tuple[int, ...], top: int) -> bool:
@@ -236,7 +274,7 @@ def aims_of(
     config: NovelSettings,
 ) -> Aims:
     """Learn one level; `fields` are the exemplars themselves in int8, without turned copies."""
-    whole = config.layout == "structure"
+    whole = is_whole(config.layout)
     correlations = correlations_at(
         fields,
         level,
@@ -281,8 +319,10 @@ def at_density(aims: Aims, slopes: DensitySlopes, t: float) -> Aims:
 
 def slices_for(
     fields: Sequence[np.ndarray], layout: str, weights: Sequence[np.ndarray] | None = None
-) -> SliceTarget:
-    """Describe the target of the sliced rounds of the coarsest level."""
+) -> SliceTarget | None:
+    """Describe the target of the sliced rounds of the coarsest level; None where there are none."""
+    if layout not in _SLICED:
+        return None
     shortest = min(min(field.shape[1:]) for field in fields)
     fitting = [width for width in _SLICED_WIDTHS if shortest >= width + _ROOM]
     width = fitting[0] if fitting else _SLICED_WIDTHS[-1]
@@ -324,7 +364,7 @@ def has_room_beside(known: np.ndarray, top: int) -> bool:
 
 @dataclass(frozen=True)
 class NovelLayoutStage(RoundStage):
-    """Sliced rounds on the coarsest level.
+    """Noise on the coarsest level, and sliced rounds where there are any.
 
     Attributes
     ----------
@@ -388,7 +428,7 @@ class NovelRounds(CoarseToFine[Any]):
     def __init__(
         self,
         aims: Sequence[Aims],
-        slices: SliceTarget,
+        slices: SliceTarget | None,
         schedule: Sequence[Pass],
         request: Request,
         config: NovelSettings,
@@ -407,15 +447,15 @@ class NovelRounds(CoarseToFine[Any]):
         unused = [iter(aim.candidates) for aim in aims]
         self.candidates = [next(unused[part.level]) for part in schedule]
         self.debt: np.ndarray | None = None
-        self.rounds = _SLICED[config.layout][0]
-        self.on_torus = config.layout == "structure" and request.fixed is None
+        self.rounds = 0 if slices is None else _SLICED[config.layout][0]
+        self.on_torus = is_whole(config.layout) and request.fixed is None
 
     @property
     def names(self) -> list[str]:
         """List the names of layout and passes: others than when there were two schedules,
         so that unfinished runs of then begin anew.
         """
-        kind = "new" if self.config.layout == "structure" else "novel"
+        kind = {"structure": "new", "coarse": "novel"}.get(self.config.layout, "noise")
         return [f"{kind} layout", *(f"{kind} pass {n}" for n in range(len(self.schedule)))]
 
     @property
@@ -475,8 +515,12 @@ class NovelRounds(CoarseToFine[Any]):
         aims, shape = self.aims[self.top], self.shapes[self.top]
         volume = (len(aims.stack.field), *shape)
         known = self.request.fixed is not None
-        transport = transport_stages(volume, [(0, self.slices)], step=_SLICED_STEP, known=known)
-        steps = (*self._step_stages(shape, aims.correlations, _AROUND), *wave_stages(volume))
+        transport: tuple[Stage, ...] = ()
+        steps: tuple[Stage, ...] = ()
+        if self.slices is not None:
+            views = [(0, self.slices)]
+            transport = transport_stages(volume, views, step=_SLICED_STEP, known=known)
+            steps = (*self._step_stages(shape, aims.correlations, _AROUND), *wave_stages(volume))
         held = region_arrays(replace(self.request, mask=None), shape, len(aims.stack.field))
         return layout_stages(volume, {**held, "moving": held["free"]}, transport, steps)
 
@@ -557,6 +601,7 @@ class NovelRounds(CoarseToFine[Any]):
     def _lay_out(self, stage: NovelLayoutStage, number: int) -> None:
         """Do a sliced round, and a step on the two-point function after every few of them."""
         work, target, free = self.work, stage.aims.correlations, stage.region.free
+        assert self.slices is not None
         work.enter("transport")
         work.adopt(
             "moved",
@@ -589,7 +634,9 @@ class NovelRounds(CoarseToFine[Any]):
         return two_point_step(self.work["field"], target, periodic=_AROUND, free=free)
 
     def leave(self, stage: NovelLayoutStage | PassStage) -> None:
-        """Make the field of the layout: a step was the last, so its votes are those of a field."""
+        """Make the field of the layout: noise or a step was the last, so its votes are those of a
+        field.
+        """
         if isinstance(stage, NovelLayoutStage):
             self.match_field(stage.region, None)
 

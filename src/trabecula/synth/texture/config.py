@@ -38,11 +38,12 @@ class TextureConfig:
     energies, which know no other. Grey values and colours above 0: their structure is made as
     labels, then painted."""
 
-    layout: str = "structure"
-    """How new material begins. "structure": on the level that fits the exemplar's structure, with
-    its small bodies counted in the end; grey values and colours on a structure of their own.
-    "coarse": on the coarsest level, without these, as recipes and models have it that do not name
-    it."""
+    layout: str = "rounds"
+    """How new material begins. "rounds": with noise on the level that fits the exemplar's
+    structure, and rounds of search and vote there; its small bodies are counted in the end, and
+    grey values and colours are on a structure of their own. "structure": with sliced rounds, which
+    keep long waves and lose shapes, as the default was before. "coarse": with sliced rounds on the
+    coarsest level, without the counts, as recipes and models have it that do not name it."""
 
     scan_phases: str = "found"
     """What new grey values and colours are painted on. "found": on two phases, or on three where
@@ -187,7 +188,7 @@ class TextureConfig:
         InputError
             Novelty is set where it does not apply.
         """
-        distances = self.field == "distance" and (labels or self.layout == "structure")
+        distances = self.field == "distance" and (labels or self.layout != "coarse")
         applies = distances and self.search == "coherent" and not self.energetic and self.histogram
         if self.novelty and not applies:
             raise InputError(
@@ -225,11 +226,11 @@ _NOVELTY = 1.0
 _DROPPED = ("schedule",)  # of recipes of before, when there were two
 
 _ALTERNATIVES: tuple[dict[str, Any], ...] = (
+    {"layout": "structure"},
     {"novelty": 0.5},
     {"layout": "coarse"},
     {"novelty": 0.25},
-    {"novelty": 0.75},
-    {"layout": "coarse", "novelty": 0.5},
+    {"layout": "structure", "novelty": 0.5},
 )
 
 _CHOICES: dict[str, tuple[Any, ...]] = {
@@ -238,7 +239,7 @@ _CHOICES: dict[str, tuple[Any, ...]] = {
     "field": ("distance", "indicator"),
     "iso_value": ("middle", "fraction"),
     "search": ("coherent", "exact"),
-    "layout": ("structure", "coarse"),
+    "layout": ("rounds", "structure", "coarse"),
     "scan_phases": ("found", "two"),
     "grading": ("feedback", "shift"),
     "connected": ("auto", "solid", "none"),

@@ -154,7 +154,12 @@ class Texture(Method):
             each = 8 + 9 * channels
             kinds = [
                 (part.width, part.level)
-                for part in novel_layout.passes(novelty, top, self.config.layout)
+                for part in novel_layout.passes(
+                    novelty,
+                    top,
+                    self.config.layout,
+                    width=novel_layout.first_width(exemplars),
+                )
             ]
         else:  # the second level's neighbourhoods are the ones that are described in full
             each = 14 + 11 * channels
@@ -213,6 +218,7 @@ class TextureModel(Model):
         fields = [self.content.fields(exemplar) for exemplar in exemplars]
         smallest = min(min(exemplar.shape) for exemplar in exemplars)
         self.top = novel_layout.top_for(exemplars, config.layout) if self.novelty else 0
+        self.first_width = novel_layout.first_width(exemplars)
         self.painted: Painted | None = None
         if self.top and not self.content.distances:
             self.painted = self._learn_painted(fields)
@@ -269,7 +275,9 @@ class TextureModel(Model):
     def _learn_new(self) -> None:
         """Learn the target of material that is not copied."""
         edges = isotropic_scale(self.exemplars[0].spacing)
-        schedule = novel_layout.passes(self.novelty, self.top, self.config.layout)
+        schedule = novel_layout.passes(
+            self.novelty, self.top, self.config.layout, width=self.first_width
+        )
         self.aims = [
             novel_layout.aims_of(
                 self.stacks[index], self._own[index], index, edges, schedule, self.config
@@ -278,7 +286,7 @@ class TextureModel(Model):
         ]
         self.slices = novel_layout.slices_for(self._own[self.top], self.config.layout)
         assert isinstance(self.content, Labels)  # novelty is for labels
-        counted = self.content.present if self.config.layout == "structure" else ()
+        counted = self.content.present if novel_layout.is_whole(self.config.layout) else ()
         self.small = {label: learn_small_bodies(self.exemplars, label) for label in counted}
 
     def _learn_painted(self, fields: Sequence[np.ndarray]) -> Painted | None:
@@ -456,6 +464,7 @@ class TextureModel(Model):
             self.novelty,
             self.top,
             self.config.layout,
+            width=self.first_width,
             beside=request.fixed is not None,
         )
         aims, slices = self.aims, self.slices
@@ -463,7 +472,7 @@ class TextureModel(Model):
             aims, slices = self._at_target(request)
         return novel_layout.NovelRounds(aims, slices, schedule, request, self.config, around)
 
-    def _at_target(self, request: Request) -> tuple[list[novel_layout.Aims], SliceTarget]:
+    def _at_target(self, request: Request) -> tuple[list[novel_layout.Aims], SliceTarget | None]:
         """Return the targets of material with a target porosity: those of the exemplar's denser or
         sparser places as far as these go, and from there on values inside a phase become more or
         less frequent.
@@ -551,7 +560,8 @@ class TextureModel(Model):
         """
         if frame_of(request.target):
             return False
-        whole = self.config.layout == "structure" and not any(map(np.ndim, request.target.values()))
+        whole = novel_layout.is_whole(self.config.layout)
+        whole = whole and not any(map(np.ndim, request.target.values()))
         top = self.top if self.painted is None else self.painted.structure.top
         if not top or not novel_layout.has_room(request.shape, top):
             return False
