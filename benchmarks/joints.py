@@ -14,7 +14,7 @@ HELD = 40
 """Planes that an extension continues."""
 SCANS = ("bone a", "bone with cortex", "Berea", "NMC")
 SEEDS = (1, 2)
-POWERS = {"plain votes": 1.0, "default": 0.0}
+SETTINGS: dict[str, dict[str, str]] = {"sliced layout": {"layout": "structure"}, "default": {}}
 
 
 def texture_joints() -> None:
@@ -35,8 +35,8 @@ def texture_joints() -> None:
         host = tb.crop(scan, SIDE, corner=[edge - SIDE for edge in scan.shape])
         for case, known in (("hole", _hole()), ("extension", _held())):
             row(f"{name}, {case}, the scan", "", *_told(host.values, case), "", "")
-            for words, power in POWERS.items():
-                model = tb.method("texture", vote_power=power).fit(exemplar)
+            for words, settings in SETTINGS.items():
+                model = tb.method("texture", **settings).fit(exemplar)
                 for seed in SEEDS:
                     request = tb.Request(host.shape, seed=seed, fixed=host, known=known)
                     seconds, made = busy(lambda m=model, r=request: m.generate(r))

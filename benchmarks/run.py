@@ -27,6 +27,7 @@ import drainage
 import ensemble_rates
 import ensembles
 import evenness
+import forms
 import fusion
 import gan
 import gan_ablation
@@ -109,6 +110,7 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_histogram": texture_figures.texture_histogram,
     "texture_grey": texture_grey.texture_grey,
     "texture_joints": joints.texture_joints,
+    "texture_forms": forms.texture_forms,
     "by_example_2017": by_example.by_example_2017,
     "by_example_2021": by_example.by_example_2021,
     "evenness": evenness.evenness_table,

@@ -291,12 +291,12 @@ def test_new_material_is_the_same_in_scratch_files(model, whole, tmp_path):
 @pytest.mark.parametrize(
     ("owner", "name", "call", "left"),
     [
-        (novel_layout, "transport_neighbourhoods", 13, 8),
-        (novel_layout, "coherent_search", 6, 2),
-        (novel_layout, "coherent_search", 7, 1),
+        (novel_layout, "coherent_search", 3, 9),
+        (novel_layout, "coherent_search", 10, 2),
+        (novel_layout, "coherent_search", 11, 1),
         (Labels, "to_values", 1, 4),  # three counts of small bodies before the result
     ],
-    ids=["in the layout", "in a pass", "after a pass", "after the last"],
+    ids=["in the first pass", "in a pass", "after a pass", "after the last"],
 )
 def test_interrupted_it_goes_on_bit_for_bit(
     owner, name, call, left, model, whole, tmp_path, monkeypatch

@@ -341,8 +341,8 @@ def test_the_layout_is_on_the_level_of_the_structure():
 
 
 def test_rounds_begin_on_a_coarser_level_where_there_is_room():
-    """From 4 voxels of the structure's length on; in 64 voxels wide neighbourhoods would be few, and
-    copied whole.
+    """From 4 voxels of the structure's length on; in 64 voxels wide neighbourhoods would be few,
+    and copied whole.
     """
     for edge, level in [(6, 1), (12, 2)]:
         cells = np.indices((96, 96, 96)) // edge

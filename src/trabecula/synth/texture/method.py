@@ -460,17 +460,25 @@ class TextureModel(Model):
     def _novel_rounds(
         self, request: Request, around: Sequence[Region] = ()
     ) -> novel_layout.NovelRounds:
+        top = self._top_for(request)
         schedule = novel_layout.passes(
             self.novelty,
-            self.top,
+            top,
             self.config.layout,
             width=self.first_width,
             beside=request.fixed is not None,
         )
-        aims, slices = self.aims, self.slices
+        aims, slices = self.aims[: top + 1], self.slices
         if request.target:
             aims, slices = self._at_target(request)
         return novel_layout.NovelRounds(aims, slices, schedule, request, self.config, around)
+
+    def _top_for(self, request: Request) -> int:
+        """Return the level that a request is laid out on. What rounds from noise make on level 2
+        does not meet known voxels.
+        """
+        beside = self.top and request.fixed is not None and self.slices is None
+        return min(self.top, 1) if beside else self.top
 
     def _at_target(self, request: Request) -> tuple[list[novel_layout.Aims], SliceTarget | None]:
         """Return the targets of material with a target porosity: those of the exemplar's denser or
@@ -517,7 +525,8 @@ class TextureModel(Model):
         bounds = self.content.bounds(request)
         if bounds is None:
             return []
-        return regions_of(replace(request, mask=None), self.top + 1, bounds, self._quantise)
+        levels = self._top_for(request) + 1
+        return regions_of(replace(request, mask=None), levels, bounds, self._quantise)
 
     @cached_property
     def _struts(self) -> list[StrutField | None]:
@@ -562,7 +571,7 @@ class TextureModel(Model):
             return False
         whole = novel_layout.is_whole(self.config.layout)
         whole = whole and not any(map(np.ndim, request.target.values()))
-        top = self.top if self.painted is None else self.painted.structure.top
+        top = self._top_for(request) if self.painted is None else self.painted.structure.top
         if not top or not novel_layout.has_room(request.shape, top):
             return False
         if request.known is None:
