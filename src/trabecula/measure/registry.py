@@ -385,7 +385,7 @@ _TABLE = (
     ),
     _distance(
         name="shape_index_distance", title="Shape index of the interface, relative", group="shape",
-        of="the solid", level="default", compares="shape_index", in_slices=False,
+        level="default", compares="shape_index", in_slices=False,
         meaning="Relative l2 of the distribution of the shape index: straight fibres that came out "
         "as knots, or grains as lumps, differ here though sizes agree.",
     ),
