@@ -150,3 +150,11 @@ def test_the_certificate_sees_shapes_that_sizes_do_not():
     for image, passes in ((other, True), (made, False)):
         metric = tb.verify(exemplar, image).metrics["shape_index_distance"]
         assert metric.passed is passes and metric.value > 0
+
+
+def test_an_exemplar_whose_interface_is_at_its_faces_alone_is_judged_without_it():
+    values = np.ones((48, 48, 48), np.uint8)
+    values[0] = values[:, 0] = 0
+    found = tb.verify(values, values)
+    assert "shape_index_distance" not in found.metrics
+    assert found.to_json()

@@ -98,3 +98,13 @@ def test_rods_that_became_rows_of_balls_differ_in_shape():
     assert not same["shape index"].is_off and same["shape index"].is_distance
     assert other["shape index"].is_off
     assert "shape index off by" in off_line(other)
+
+
+def test_a_shape_that_the_exemplar_does_not_have_is_not_held_against_a_result():
+    values = np.zeros((48, 48, 48), np.uint8)
+    values[:, ::24, ::2] = values[::24] = values[:, :, ::24] = 1
+    values[3:-3, 3:-3, 3:-3] = 0  # interfaces at the faces alone
+    image = tb.Image(values, "labels")
+    own = OwnFigures.of(image, box=48)
+    assert own is not None
+    assert "shape index" not in figures_of(own, image)

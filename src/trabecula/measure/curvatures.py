@@ -79,8 +79,8 @@ def curvatures(image: Image | ArrayLike, *, phase: str | int | None = None) -> C
     ----------
     image : Image or array of labels, (Z, Y, X)
         Any spacing; the interface is smoothed over one and a half voxels (of the largest edge), so
-        what is curved more sharply than that is seen blunted. Places within three voxels of a face
-        are left out, where the smoothing knows no neighbours.
+        what is curved more sharply than that is seen blunted. Places near a face are left out,
+        where the smoothing knows no neighbours: within three voxels, of equal edges.
     phase : str or int, optional
         Default: "solid", which is every phase but "void".
 

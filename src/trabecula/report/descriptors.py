@@ -174,7 +174,8 @@ class LabelDescriptors:
         }
         distances = {one.compares: one.name for one in select(kind="labels") if one.compares}
         for name, own in exemplar.curves.items():
-            if name not in image.curves:  # one of them is too thin for it
+            # one of them is too thin for it, or the exemplar has no interface off its faces
+            if name not in image.curves or not np.any(own):
                 continue
             curve = image.curves[name]
             stems = [known for known in distances if f"{name}_".startswith(f"{known}_")]

@@ -178,9 +178,8 @@ def passes(
 
     From noise the first have neighbourhoods of `width` (`first_width`). Less than full novelty lets
     more neighbourhoods of the exemplar into the layout, and after sliced rounds widens those of
-    finer levels. `beside` known voxels there are no steps: a hole is
-    too small to have the two-point function of the material, and interfaces would be cut into combs
-    for it.
+    finer levels. `beside` known voxels there are no steps: a hole is too small to have the
+    two-point function of the material, and interfaces would be cut into combs for it.
     """
     moved = round(_MOVED * (1 - novelty))
     wide = moved >= _WIDE_FROM

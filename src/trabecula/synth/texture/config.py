@@ -42,8 +42,8 @@ class TextureConfig:
     """How new material begins. "rounds": with noise on the level that fits the exemplar's
     structure, and rounds of search and vote there; its small bodies are counted in the end, and
     grey values and colours are on a structure of their own. "structure": with sliced rounds, which
-    lose shapes, as the default was before. "coarse": with sliced rounds on the
-    coarsest level, without the counts, as recipes and models have it that do not name it."""
+    lose shapes, as the default was before. "coarse": with sliced rounds on the coarsest level,
+    without the counts, as recipes and models have it that do not name it."""
 
     scan_phases: str = "found"
     """What new grey values and colours are painted on. "found": on two phases, or on three where

@@ -187,7 +187,8 @@ def _curves(image: Image, names: Mapping[str, str], reach: int) -> dict[str, np.
 
 
 def _distance(line: np.ndarray, own: np.ndarray) -> float:
-    return float(np.linalg.norm(line - own) / np.linalg.norm(own))
+    size = float(np.linalg.norm(own))
+    return float(np.linalg.norm(line - own)) / size if size else math.inf
 
 
 def _spread(values: Sequence[float]) -> float:
