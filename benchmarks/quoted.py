@@ -123,7 +123,7 @@ def measure_gan() -> Figures:
 def sum_materials() -> Figures:
     """Sum up the table of materials in figures.md: figures in band, of three seeds each."""
     text = (ROOT / "docs" / "guide" / "figures.md").read_text(encoding="utf-8")
-    table = text.partition("| out, then | out, now |")[2]
+    table = text.partition("| out, before | out, now |")[2]
     rows = re.findall(r"\| (\d+, \d+, \d+) of (\d+) (?=\|)", table)[:_MATERIALS]
     now = [(sum(map(int, out.split(", "))), 3 * int(number)) for out, number in rows]
     outside, figures = (sum(column) for column in zip(*now, strict=True))
