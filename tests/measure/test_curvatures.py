@@ -7,6 +7,7 @@ import trabecula as tb
 from trabecula.engine.parallel import threads
 from trabecula.errors import InputError
 from trabecula.measure import curvatures, shape_index
+from trabecula.measure.smooth import gaussian
 
 CENTRES = np.linspace(-1, 1, 17)
 
@@ -18,6 +19,16 @@ def places(*sides):
 def rod(side, radius, way):
     at, along = places(side, side, side), np.array(way) / np.linalg.norm(way)
     return ((at**2).sum(-1) - (at @ along) ** 2 < radius**2).astype(np.uint8)
+
+
+def random_rods(side, count, *, seed):
+    draw = np.random.default_rng(seed)
+    at, found = np.stack(np.indices((side,) * 3), axis=-1), np.zeros((side,) * 3, bool)
+    for _ in range(count):
+        off, way = at - draw.uniform(0, side, 3), draw.standard_normal(3)
+        way /= np.linalg.norm(way)
+        found |= (off**2).sum(-1) - (off @ way) ** 2 < 4**2
+    return found
 
 
 def mean(values, found):
@@ -81,15 +92,8 @@ def test_lengths_follow_the_spacing():
 
 
 def test_fibres_and_the_knots_that_sizes_take_for_them():
-    rng = np.random.default_rng(4)
-    fibres, knots = np.zeros((64, 64, 64), bool), rng.standard_normal((64, 64, 64))
-    for _ in range(18):
-        spot, way = rng.uniform(0, 64, 3), rng.standard_normal(3)
-        at, way = np.stack(np.indices((64,) * 3), -1) - spot, way / np.linalg.norm(way)
-        fibres |= (at**2).sum(-1) - (at @ way) ** 2 < 4**2
-    from trabecula.measure.smooth import gaussian
-
-    smooth = gaussian(knots, 3)
+    fibres = random_rods(64, 18, seed=4)
+    smooth = gaussian(np.random.default_rng(4).standard_normal((64, 64, 64)), 3)
     knots = smooth > np.quantile(smooth, 1 - fibres.mean())
     parts = [fibres[:32], fibres[32:]]
     rods, other, blobs = (shape_index(one.astype(np.uint8)) for one in (*parts, knots))
@@ -138,13 +142,7 @@ def test_phases_for_themselves_where_there_are_three():
 
 
 def test_the_certificate_sees_shapes_that_sizes_do_not():
-    rng = np.random.default_rng(5)
-    rods = np.zeros((96, 96, 96), bool)
-    at = np.stack(np.indices(rods.shape), -1).astype(np.float32)
-    for _ in range(30):
-        way = rng.standard_normal(3)
-        from_spot, way = at - rng.uniform(0, 96, 3), way / np.linalg.norm(way)
-        rods |= (from_spot**2).sum(-1) - (from_spot @ way) ** 2 < 4**2
+    rods = random_rods(96, 30, seed=5)
     exemplar, other = rods[:, :, :48].astype(np.uint8), rods[:, :, 48:].astype(np.uint8)
     made = tb.method("noise").fit(exemplar).generate(exemplar.shape, seed=1)
     for image, passes in ((other, True), (made, False)):

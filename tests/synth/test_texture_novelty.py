@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 import trabecula as tb
 from trabecula.core.seeds import key
 from trabecula.synth.api.registry import recorded_method
-from trabecula.synth.shared import novel_layout
+from trabecula.synth.shared import novel_schedule
 from trabecula.synth.shared.content.fields import FULL, UNIT, phase_fields, quantise
+from trabecula.synth.shared.novel_schedule import Start
 from trabecula.synth.shared.statistics.pairs import AXES, DIAGONAL, Pairs
 from trabecula.synth.shared.statistics.sliced import rotation, transport_neighbourhoods
 from trabecula.synth.shared.statistics.slices import Transport, slice_target
@@ -334,10 +335,10 @@ def test_the_layout_is_on_the_level_of_the_structure():
     for edge, level in [(2, 1), (12, 1), (18, 2)]:
         cells = np.indices((72, 72, 72)) // edge
         board = tb.Image((cells.sum(axis=0) % 2).astype(np.uint8), "labels")
-        assert novel_layout.structure_length([board]) == pytest.approx(71 / (3 * (72 / edge - 1)))
-        assert novel_layout.top_for([board], "structure") == level
-        assert novel_layout.top_for([board], "coarse") == 2
-    assert novel_layout.top_for([tb.crop(board, 24)], "structure") == 1
+        assert novel_schedule.structure_length([board]) == pytest.approx(71 / (3 * (72 / edge - 1)))
+        assert novel_schedule.start_of([board], "structure").level == level
+        assert novel_schedule.start_of([board], "coarse").level == 2
+    assert novel_schedule.start_of([tb.crop(board, 24)], "structure").level == 1
 
 
 def test_rounds_begin_on_a_coarser_level_where_there_is_room():
@@ -347,8 +348,8 @@ def test_rounds_begin_on_a_coarser_level_where_there_is_room():
     for edge, level in [(6, 1), (12, 2)]:
         cells = np.indices((96, 96, 96)) // edge
         board = tb.Image((cells.sum(axis=0) % 2).astype(np.uint8), "labels")
-        assert novel_layout.top_for([board], "rounds") == level
-        assert novel_layout.top_for([tb.crop(board, 64)], "rounds") == 1
+        assert novel_schedule.start_of([board], "rounds").level == level
+        assert novel_schedule.start_of([tb.crop(board, 64)], "rounds").level == 1
 
 
 def test_rounds_of_fine_structures_begin_with_narrow_neighbourhoods():
@@ -356,8 +357,8 @@ def test_rounds_of_fine_structures_begin_with_narrow_neighbourhoods():
     for edge, width in [(4, 6), (12, 8)]:
         cells = np.indices((64, 64, 64)) // edge
         board = tb.Image((cells.sum(axis=0) % 2).astype(np.uint8), "labels")
-        assert novel_layout.first_width([board]) == width
-        first = novel_layout.passes(1.0, 1, "rounds", width=width)[0]
+        assert novel_schedule.start_of([board], "rounds") == Start(1, width)
+        first = novel_schedule.passes(1.0, Start(1, width), "rounds")[0]
         assert (first.level, first.width) == (1, width)
     model = tb.method("texture").fit(tb.crop(tb.sample("cells"), 40))
     assert model.aims[1].candidates[0].basis.width == 6
@@ -370,17 +371,17 @@ def test_rounds_begin_with_noise():
     rounds = model._novel_rounds(tb.Request((40, 40, 40)))
     assert rounds.open_stage(0).rounds == 0
     for novelty, top in ((1.0, 1), (1.0, 2), (0.5, 2)):
-        first, *later = novel_layout.passes(novelty, top, "rounds")
+        first, *later = novel_schedule.passes(novelty, Start(top), "rounds")
         assert first.level == top and first.width == 8 and not first.carried
         # novelty goes to the first pass alone
         assert first.rounds > later[0].rounds
-        assert later == list(novel_layout.passes(1.0, top, "rounds")[1:])
+        assert later == list(novel_schedule.passes(1.0, Start(top), "rounds")[1:])
 
 
 def test_exemplars_without_an_interface_are_laid_out_on_the_coarsest_level():
     blocks = [tb.Image(np.full((48, 48, 48), label, np.uint8), "labels") for label in (0, 1)]
-    assert novel_layout.structure_length(blocks) == np.inf
-    assert novel_layout.top_for(blocks, "structure") == 2
+    assert novel_schedule.structure_length(blocks) == np.inf
+    assert novel_schedule.start_of(blocks, "structure").level == 2
 
 
 def test_a_recipe_of_before_may_name_one_of_two_schedules():
@@ -391,8 +392,8 @@ def test_a_recipe_of_before_may_name_one_of_two_schedules():
 
 
 def test_the_last_pass_begins_with_the_matches_of_the_one_before():
-    last = novel_layout.passes(1.0, 1, "structure")[-1]
+    last = novel_schedule.passes(1.0, Start(1), "structure")[-1]
     assert last.carried
     assert last.sweeps(0, 2) == 2
-    assert not any(part.carried for part in novel_layout.passes(1.0, 1, "structure")[:-1])
-    assert not any(part.carried for part in novel_layout.passes(1.0, 2, "coarse"))
+    assert not any(part.carried for part in novel_schedule.passes(1.0, Start(1), "structure")[:-1])
+    assert not any(part.carried for part in novel_schedule.passes(1.0, Start(2), "coarse"))

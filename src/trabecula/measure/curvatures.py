@@ -168,67 +168,68 @@ def _count_crossings(inside, margin, counts, start, stop):
     """Write to counts[1 + plane] between how many neighbours of a plane, or of it and the next,
     there is an interface.
     """
-    depth, height, width = inside.shape
     for k in range(start, stop):
         z, count = k + margin[0], 0
-        for y in range(margin[1], height - margin[1]):
-            for x in range(margin[2], width - margin[2]):
-                own = inside[z, y, x]
-                if z + 1 < depth - margin[0] and inside[z + 1, y, x] != own:
-                    count += 1
-                if y + 1 < height - margin[1] and inside[z, y + 1, x] != own:
-                    count += 1
-                if x + 1 < width - margin[2] and inside[z, y, x + 1] != own:
-                    count += 1
+        for y in range(margin[1], inside.shape[1] - margin[1]):
+            for x in range(margin[2], inside.shape[2] - margin[2]):
+                for axis in range(3):
+                    count += _crosses(inside, margin, z, y, x, axis)
         counts[k + 1] = count
 
 
 @kernel
 def _curve(smooth, inside, margin, edges, ends, found, start, stop):
     """Write the curvatures and areas of the interfaces that `_count_crossings` counted."""
-    depth, height, width = inside.shape
     cell = edges[0] * edges[1] * edges[2]
     for k in range(start, stop):
         z, place = k + margin[0], ends[k]
-        for y in range(margin[1], height - margin[1]):
-            for x in range(margin[2], width - margin[2]):
-                own = inside[z, y, x]
+        for y in range(margin[1], inside.shape[1] - margin[1]):
+            for x in range(margin[2], inside.shape[2] - margin[2]):
                 for axis in range(3):
-                    w, v, u = z, y, x
-                    if axis == 0:
-                        w += 1
-                    elif axis == 1:
-                        v += 1
-                    else:
-                        u += 1
-                    if w >= depth - margin[0] or v >= height - margin[1] or u >= width - margin[2]:
-                        continue
-                    if inside[w, v, u] == own:
+                    if not _crosses(inside, margin, z, y, x, axis):
                         continue
                     one = derivatives(smooth, z, y, x, edges)
+                    w, v, u = z + (axis == 0), y + (axis == 1), x + (axis == 2)
                     two = derivatives(smooth, w, v, u, edges)
-                    gz, gy, gx = one[0] + two[0], one[1] + two[1], one[2] + two[2]
-                    zz, yy, xx = one[3] + two[3], one[4] + two[4], one[5] + two[5]
-                    zy, zx, yx = one[6] + two[6], one[7] + two[7], one[8] + two[8]
-                    size = math.sqrt(gz * gz + gy * gy + gx * gx)
-                    if size < _STEEP:
-                        found[0, place] = found[1, place] = found[2, place] = 0.0
-                        place += 1
-                        continue
-                    gz, gy, gx = gz / size, gy / size, gx / size
-                    along = gz * gz * zz + gy * gy * yy + gx * gx * xx
-                    along += 2 * (gz * gy * zy + gz * gx * zx + gy * gx * yx)
-                    mean = (along - zz - yy - xx) / (2 * size)
-                    product = gz * gz * (yy * xx - yx * yx) + gy * gy * (zz * xx - zx * zx)
-                    product += gx * gx * (zz * yy - zy * zy)
-                    product += 2 * gz * gy * (zx * yx - zy * xx)
-                    product += 2 * gz * gx * (zy * yx - zx * yy)
-                    product += 2 * gy * gx * (zy * zx - yx * zz)
-                    apart = math.sqrt(max(mean * mean - product / (size * size), 0.0))
-                    found[0, place], found[1, place] = mean + apart, mean - apart
-                    normal = gz if axis == 0 else gy if axis == 1 else gx
-                    found[2, place] = abs(normal) * cell / edges[axis]
+                    most, least, normal = _principal(one, two, axis)
+                    found[0, place], found[1, place] = most, least
+                    found[2, place] = normal * cell / edges[axis]
                     place += 1
+
+
+@inline
+def _crosses(inside, margin, z, y, x, axis):
+    """Return whether there is an interface between a voxel and the next along an axis."""
+    w, v, u = z + (axis == 0), y + (axis == 1), x + (axis == 2)
+    depth, height, width = inside.shape
+    if w >= depth - margin[0] or v >= height - margin[1] or u >= width - margin[2]:
+        return False
+    return inside[w, v, u] != inside[z, y, x]
+
+
+@inline
+def _principal(one, two, axis):
+    """Return both curvatures of the level between two voxels, from their derivatives, and the
+    normal's part along an axis; 0 where there is no normal.
+    """
+    gz, gy, gx = one[0] + two[0], one[1] + two[1], one[2] + two[2]
+    zz, yy, xx = one[3] + two[3], one[4] + two[4], one[5] + two[5]
+    zy, zx, yx = one[6] + two[6], one[7] + two[7], one[8] + two[8]
+    size = math.sqrt(gz * gz + gy * gy + gx * gx)
+    if size < _STEEP:
+        return 0.0, 0.0, 0.0
+    gz, gy, gx = gz / size, gy / size, gx / size
+    along = gz * gz * zz + gy * gy * yy + gx * gx * xx
+    along += 2 * (gz * gy * zy + gz * gx * zx + gy * gx * yx)
+    mean = (along - zz - yy - xx) / (2 * size)
+    product = gz * gz * (yy * xx - yx * yx) + gy * gy * (zz * xx - zx * zx)
+    product += gx * gx * (zz * yy - zy * zy)
+    product += 2 * gz * gy * (zx * yx - zy * xx)
+    product += 2 * gz * gx * (zy * yx - zx * yy)
+    product += 2 * gy * gx * (zy * zx - yx * zz)
+    apart = math.sqrt(max(mean * mean - product / (size * size), 0.0))
+    normal = gz if axis == 0 else gy if axis == 1 else gx
+    return mean + apart, mean - apart, abs(normal)
 
 
 @inline

@@ -26,6 +26,7 @@ from trabecula.synth.shared.content.fields import quantise
 from trabecula.synth.shared.content.kinds import Labels, content_of
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Stack
+from trabecula.synth.shared.novel_schedule import LEAST, Pass, passes, start_of
 from trabecula.synth.shared.pyramid import fit_to, halve
 from trabecula.synth.shared.small_bodies import (
     SmallBodies,
@@ -48,7 +49,7 @@ class RelativeModel:
     adapted: AdaptedRelative
     aims: tuple[novel_layout.Aims, ...]
     slices: SliceTarget | None
-    schedule: tuple[novel_layout.Pass, ...]
+    schedule: tuple[Pass, ...]
     small: Mapping[int, SmallBodies]
     settings: RelativeSettings
 
@@ -63,11 +64,11 @@ class RelativeModel:
         """
         assert request.like is not None
         adapted, settings = adapt_relative(request.like, views, present), RelativeSettings()
-        top = novel_layout.top_for([adapted.image], settings.layout)
-        schedule = novel_layout.passes(1.0, top, settings.layout)
+        start = start_of([adapted.image], settings.layout)
+        schedule = passes(1.0, start, settings.layout)
         field = content_of([adapted.image]).fields(adapted.image)
         aims = []
-        for level in range(top + 1):
+        for level in range(start.level + 1):
             own = quantise(field, clip=settings.clip, unit=2**level)
             edges = (1.0, 1.0, 1.0)
             learnt = novel_layout.aims_of(Stack.of([own]), [own], level, edges, schedule, settings)
@@ -95,7 +96,7 @@ class RelativeModel:
     @property
     def _least(self) -> int:
         """Return the voxels along an axis that a layout needs."""
-        return novel_layout.LEAST * 2**self.top
+        return LEAST * 2**self.top
 
     def rounds(self, request: Request) -> novel_layout.NovelRounds:
         """Prepare a run, of a longer volume where an axis is too short."""

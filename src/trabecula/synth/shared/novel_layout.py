@@ -22,7 +22,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.engine.memory import Array, Stage, Workspace, within
@@ -40,6 +39,7 @@ from trabecula.synth.shared.matching.vote_power import (
     power_stages,
     raise_distances,
 )
+from trabecula.synth.shared.novel_schedule import LEAST, WIDEST, WIDTH, Pass, is_sliced, is_whole
 from trabecula.synth.shared.slabs import complement, count_true
 from trabecula.synth.shared.stages import LevelMemory, layout_stages, region_arrays
 from trabecula.synth.shared.statistics.density_slopes import DensitySlopes
@@ -65,26 +65,6 @@ from trabecula.synth.shared.statistics.two_point_steps import (
     two_point_step,
 )
 
-COARSEST = 2
-"""The level that is laid out, at most: 4 times coarser than the result."""
-
-_FINE = {"rounds": 1.0, "structure": 1.5}
-"""Voxels that the structure's length has at least on that level, if it is not level 1, by layout:
-where it has fewer, bodies lose their form, or are copied whole."""
-
-LEAST = 8
-"""Voxels that the exemplar and the result need on that level along every axis."""
-
-_ROOMY = 20
-"""Voxels that the exemplar has there along every axis for wide neighbourhoods on level 2."""
-
-_NARROW_BELOW = 2.0
-"""Voxels of the structure's length below which a wide neighbourhood on level 1 holds several
-bodies, and rounds from noise copy them together."""
-
-WIDTH = 6
-"""Of the neighbourhoods of the passes, voxels: they keep interfaces and forget where these led."""
-
 _AROUND = (True, True, True)
 _SLICED_WIDTHS = (6, 4)  # of the neighbourhoods of sliced rounds: the first for which there is room
 _ROOM = 4
@@ -92,11 +72,6 @@ _STRENGTH, _SLICED_STEP = 2.5, 2
 _STEP_EVERY = 5  # sliced rounds
 # by layout: sliced rounds, and at most so many components of their neighbourhoods
 _SLICED = {"coarse": (30, 64), "structure": (20, 32)}
-# rounds of search and vote from noise: on level 2, then on level 1; on level 1 where it comes first
-_FROM_NOISE, _THEN, _FIRST = 10, 8, 8
-_MOVED = 16  # rounds on the coarsest level at hardly any novelty
-_WIDE_FROM = 5  # so many of them let finer levels have wide neighbourhoods
-_WIDEST = 8  # voxels of the widest neighbourhood
 
 
 class NovelSettings(Protocol):
@@ -125,32 +100,6 @@ class NovelSettings(Protocol):
 
 
 @dataclass(frozen=True)
-class Pass:
-    """Rounds of search and vote on one level, each followed by `steps` on the two-point function.
-
-    `beyond` says how far the last round aims beyond the target, in what the rounds before fell
-    short of it: the next pass takes some of that back. Nothing comes after the last pass, which is
-    on target. `roughest` is the most interface that a step may leave, over the target's: of a pass
-    that goes beyond, a vote smooths some away. The first round starts from random matches, or from
-    those of the pass before where they are `carried`, and searches `first` times as long.
-    """
-
-    level: int
-    width: int
-    step: int
-    rounds: int
-    steps: int
-    beyond: float = 1.0
-    roughest: float = 1.0
-    first: int = 3
-    carried: bool = False
-
-    def sweeps(self, number: int, each: int) -> int:
-        """Count the sweeps of round `number`, with `each` in the settings."""
-        return each if number else each * self.first
-
-
-@dataclass(frozen=True)
 class Aims:
     """Targets of one level, learnt from the exemplars; with an `interface` (C,), the most that
     steps may make of it, and with `euler` (2C,), the Euler densities that votes are to leave.
@@ -169,99 +118,6 @@ class Aims:
         if share is not None:
             share = share_at(share, self.correlations, correlations)
         return replace(self, histograms=histograms, correlations=correlations, interface=share)
-
-
-def passes(
-    novelty: float, top: int, layout: str, *, width: int = _WIDEST, beside: bool = False
-) -> tuple[Pass, ...]:
-    """List the passes from the level that is laid out to the finest one.
-
-    From noise the first have neighbourhoods of `width` (`first_width`). Less than full novelty lets
-    more neighbourhoods of the exemplar into the layout, and after sliced rounds widens those of
-    finer levels. `beside` known voxels there are no steps: a hole is too small to have the
-    two-point function of the material, and interfaces would be cut into combs for it.
-    """
-    moved = round(_MOVED * (1 - novelty))
-    wide = moved >= _WIDE_FROM
-    whole, sliced = is_whole(layout), layout in _SLICED
-    # of the first pass on the finest level
-    narrow = WIDTH if wide or not sliced or (whole and top == 1) else 5
-    coarser: list[Pass] = []
-    if not sliced and top == COARSEST:
-        coarser.append(Pass(2, width, 1, _FROM_NOISE + moved, 1))
-        coarser.append(Pass(1, _WIDEST, 2, _THEN, 1))
-    elif not sliced:
-        coarser.append(Pass(1, width, 2, _FIRST + moved, 1))
-    elif top == COARSEST:
-        if moved:
-            coarser.append(Pass(2, _WIDEST, 1, moved, 2))
-        coarser.append(Pass(1, _WIDEST if wide else WIDTH, 1, 4, 4))
-    elif whole:
-        coarser.append(Pass(1, _WIDEST, 2, 4 + moved, 4))
-    finest = (
-        Pass(0, narrow, 2, 2, 2, beyond=1.7, roughest=1.1),
-        Pass(0, WIDTH, 2, 1, 1, beyond=0.0),
-    )
-    if whole:
-        finest = (
-            replace(finest[0], steps=4, first=2),
-            replace(finest[1], steps=2, first=1, carried=True),
-        )
-    every = (*coarser, *finest)
-    if beside:
-        return tuple(replace(p, steps=0, beyond=0.0) for p in every)
-    return every
-
-
-def is_whole(layout: str) -> bool:
-    """Return whether a layout is on the level of the structure, and its steps see all directions of
-    a torus; the oldest is not, and does not.
-    """
-    return layout != "coarse"
-
-
-def structure_length(exemplars: Sequence[Image]) -> float:
-    """Return 4 phi (1 - phi) / s in voxels, with the share phi of the first phase and the surface s
-    between phases per volume: the mean of the mean chords of two phases, weighted crosswise.
-    Infinite without a surface, as of several exemplars of one phase each.
-    """
-    first = min(int(image.values.min()) for image in exemplars)
-    size = sum(image.values.size for image in exemplars)
-    share = sum(int(np.count_nonzero(image.values == first)) for image in exemplars) / size
-    surface = sum(
-        float(np.mean(np.diff(image.values, axis=axis) != 0)) * image.values.size / size
-        for image in exemplars
-        for axis in range(image.ndim)
-    )
-    return 4 * share * (1 - share) / surface if surface else math.inf
-
-
-def top_for(exemplars: Sequence[Image], layout: str) -> int:
-    """Return the level that is laid out, for the exemplars' size and structure (of grey values or
-    colours: for their size); 0: there is no room for one.
-    """
-    smallest = min(min(image.shape) for image in exemplars)
-    top = COARSEST
-    if is_whole(layout) and exemplars[0].kind == "labels":
-        length = structure_length(exemplars)
-        while top > 1 and length < _FINE[layout] * 2**top:
-            top -= 1
-    if layout not in _SLICED and smallest < _ROOMY * 2**COARSEST:
-        top = min(top, 1)
-    while top and smallest // 2**top < LEAST:
-        top -= 1
-    return top
-
-
-def first_width(exemplars: Sequence[Image]) -> int:
-    """Return the width of the neighbourhoods that rounds from noise begin with, voxels."""
-    fine = exemplars[0].kind == "labels" and structure_length(exemplars) < _NARROW_BELOW
-    return WIDTH if fine else _WIDEST
-
-
-def has_room(shape: tuple[int, ...], top: int) -> bool:
-    """Return whether a result is large enough to be laid out on level `top`."""
-    return min(shape) >= LEAST * 2**top
 
 
 def aims_of(
@@ -320,7 +176,7 @@ def slices_for(
     fields: Sequence[np.ndarray], layout: str, weights: Sequence[np.ndarray] | None = None
 ) -> SliceTarget | None:
     """Describe the target of the sliced rounds of the coarsest level; None where there are none."""
-    if layout not in _SLICED:
+    if not is_sliced(layout):
         return None
     shortest = min(min(field.shape[1:]) for field in fields)
     fitting = [width for width in _SLICED_WIDTHS if shortest >= width + _ROOM]
@@ -345,8 +201,8 @@ def _margin(known: np.ndarray | None, axis: int, top: int) -> int:
     """Return the voxels of level `top` between the two faces of an open axis on the torus."""
     if known is None:
         return 0
-    along, reach = np.moveaxis(known, axis, 0), _WIDEST * 2**top
-    return 0 if along[:reach].all() and along[-reach:].all() else _WIDEST
+    along, reach = np.moveaxis(known, axis, 0), WIDEST * 2**top
+    return 0 if along[:reach].all() and along[-reach:].all() else WIDEST
 
 
 def has_room_beside(known: np.ndarray, top: int) -> bool:

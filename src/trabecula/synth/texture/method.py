@@ -47,6 +47,15 @@ from trabecula.synth.shared.frames import frames_of
 from trabecula.synth.shared.matching.principal_components import basis_bytes
 from trabecula.synth.shared.matching.region import Region, has_cube, regions_of
 from trabecula.synth.shared.matching.sources import Stack
+from trabecula.synth.shared.novel_schedule import (
+    Start,
+    has_room,
+    is_sliced,
+    is_whole,
+    passes,
+    start_of,
+    structure_length,
+)
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve
@@ -137,7 +146,8 @@ class Texture(Method):
         turns = len(symmetries(self.config.orientations, spacing=exemplars[0].spacing))
         size = turns * sum(int(np.prod(shape)) for shape in shapes)
         novelty = self.config.novelty_for(labels=labels)
-        top = novel_layout.top_for(exemplars, self.config.layout) if novelty else 0
+        start = start_of(exemplars, self.config.layout) if novelty else Start(0)
+        top = start.level
         if top and not labels:
             fields = [content_of(exemplars, histogram=False).fields(one) for one in exemplars]
             found = segment_scan(exemplars, fields, self.config.scan_phases)
@@ -153,13 +163,7 @@ class Texture(Method):
         if top and labels:
             each = 8 + 9 * channels
             kinds = [
-                (part.width, part.level)
-                for part in novel_layout.passes(
-                    novelty,
-                    top,
-                    self.config.layout,
-                    width=novel_layout.first_width(exemplars),
-                )
+                (part.width, part.level) for part in passes(novelty, start, self.config.layout)
             ]
         else:  # the second level's neighbourhoods are the ones that are described in full
             each = 14 + 11 * channels
@@ -217,12 +221,11 @@ class TextureModel(Model):
         turns = symmetries(config.orientations, spacing=exemplars[0].spacing)
         fields = [self.content.fields(exemplar) for exemplar in exemplars]
         smallest = min(min(exemplar.shape) for exemplar in exemplars)
-        self.top = novel_layout.top_for(exemplars, config.layout) if self.novelty else 0
-        self.first_width = novel_layout.first_width(exemplars)
+        self.start = start_of(exemplars, config.layout) if self.novelty else Start(0)
         self.painted: Painted | None = None
         if self.top and not self.content.distances:
             self.painted = self._learn_painted(fields)
-            self.top = 0
+            self.start = Start(0)
         self.stacks, self._own = [], []
         for index in track(
             range(
@@ -245,6 +248,11 @@ class TextureModel(Model):
             self._learn_new()
         elif self.painted is None:
             self.learnt = self._levels()
+
+    @property
+    def top(self) -> int:
+        """Return the level that new material is laid out on; 0: there is none."""
+        return self.start.level
 
     @property
     def levels(self) -> list[Level]:
@@ -275,9 +283,7 @@ class TextureModel(Model):
     def _learn_new(self) -> None:
         """Learn the target of material that is not copied."""
         edges = isotropic_scale(self.exemplars[0].spacing)
-        schedule = novel_layout.passes(
-            self.novelty, self.top, self.config.layout, width=self.first_width
-        )
+        schedule = passes(self.novelty, self.start, self.config.layout)
         self.aims = [
             novel_layout.aims_of(
                 self.stacks[index], self._own[index], index, edges, schedule, self.config
@@ -286,7 +292,7 @@ class TextureModel(Model):
         ]
         self.slices = novel_layout.slices_for(self._own[self.top], self.config.layout)
         assert isinstance(self.content, Labels)  # novelty is for labels
-        counted = self.content.present if novel_layout.is_whole(self.config.layout) else ()
+        counted = self.content.present if is_whole(self.config.layout) else ()
         self.small = {label: learn_small_bodies(self.exemplars, label) for label in counted}
 
     def _learn_painted(self, fields: Sequence[np.ndarray]) -> Painted | None:
@@ -460,14 +466,9 @@ class TextureModel(Model):
     def _novel_rounds(
         self, request: Request, around: Sequence[Region] = ()
     ) -> novel_layout.NovelRounds:
-        top = self._top_for(request)
-        schedule = novel_layout.passes(
-            self.novelty,
-            top,
-            self.config.layout,
-            width=self.first_width,
-            beside=request.fixed is not None,
-        )
+        top, beside = self._top_for(request), request.fixed is not None
+        start = replace(self.start, level=top)
+        schedule = passes(self.novelty, start, self.config.layout, beside=beside)
         aims, slices = self.aims[: top + 1], self.slices
         if request.target:
             aims, slices = self._at_target(request)
@@ -477,7 +478,7 @@ class TextureModel(Model):
         """Return the level that a request is laid out on. What rounds from noise make on level 2
         does not meet known voxels.
         """
-        beside = self.top and request.fixed is not None and self.slices is None
+        beside = request.fixed is not None and not is_sliced(self.config.layout)
         return min(self.top, 1) if beside else self.top
 
     def _at_target(self, request: Request) -> tuple[list[novel_layout.Aims], SliceTarget | None]:
@@ -499,6 +500,8 @@ class TextureModel(Model):
             novel_layout.with_histograms(one, self.content.reweight(one.histograms, reached, asked))
             for one in aims
         ]
+        if self.slices is None:
+            return aims, None
         coarsest = self._own[self.top]
         weights = [1 + t * g for g in density_weights(coarsest, self._window(self.top))]
         return aims, novel_layout.slices_for(coarsest, self.config.layout, weights)
@@ -513,7 +516,7 @@ class TextureModel(Model):
 
     def _window(self, level: int) -> int:
         """Return the width of the windows that tell dense places from sparse ones."""
-        length = novel_layout.structure_length(self.exemplars)
+        length = structure_length(self.exemplars)
         shortest = min(min(exemplar.shape) for exemplar in self.exemplars)
         width = min(max(_WINDOW * length, _NARROWEST), shortest / _WINDOWS)
         return max(round(width / 2**level), 2)
@@ -569,10 +572,10 @@ class TextureModel(Model):
         """
         if frame_of(request.target):
             return False
-        whole = novel_layout.is_whole(self.config.layout)
+        whole = is_whole(self.config.layout)
         whole = whole and not any(map(np.ndim, request.target.values()))
         top = self._top_for(request) if self.painted is None else self.painted.structure.top
-        if not top or not novel_layout.has_room(request.shape, top):
+        if not top or not has_room(request.shape, top):
             return False
         if request.known is None:
             return whole or not request.target
