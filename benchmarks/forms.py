@@ -16,14 +16,18 @@ from texture import cells, judged, reference_of
 
 SIDE, EXEMPLAR = 160, 96
 SEEDS = (1, 2)
-LAYOUTS = ("structure", "rounds")
+KINDS: dict[str, dict[str, str]] = {
+    "structure": {"layout": "structure"},
+    "default": {},
+    "leaves": {"search": "leaves"},
+}
+"""Settings by name: the default of before, that of now, and what `--effort` tries first."""
 NAMES = ("shape", "S2 cov", "thickness", "Euler", "pore size", "coh(4)")
 
 
 def texture_forms() -> None:
-    """120^3 from 96^3 of materials of grains, fibres and tubes, by the layout of before and that of
-    now, and another 96^3 of the same material: the distance of the shape index and other figures,
-    `!` out of band.
+    """120^3 from 96^3 of materials of grains, fibres and tubes, by some settings, and another 96^3
+    of the same material: the distance of the shape index and other figures, `!` out of band.
     """
     row = table("material, what", "out", "of", *NAMES, "CPU s", wide=36)
     for name in (one for one in asked("ONLY") or FORMS if one in FORMS):
@@ -43,11 +47,11 @@ def texture_forms() -> None:
             )
 
         line("another part", other, "")
-        for layout in LAYOUTS:
-            model = tb.method("texture", layout=layout).fit(exemplar)
+        for kind, settings in KINDS.items():
+            model = tb.method("texture", **settings).fit(exemplar)
             for seed in SEEDS:
                 seconds, made = busy(lambda m=model, s=seed: m.generate(120, seed=s))
-                line(f"{layout}, {seed}", made, f"{seconds:.1f}")
+                line(f"{kind}, {seed}", made, f"{seconds:.1f}")
 
 
 def _ends(whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -30,6 +30,9 @@ NARROW = ("bone a",)
 """Exemplars of 60^3; the others, whose structures are wider, are of 100^3."""
 
 
+Run = tuple[str, Mapping[str, Any], float, Sequence[int]]
+
+
 def wholes() -> dict[str, tb.Image]:
     """Return the samples, and the scans that are here, by name."""
     found = {f"sample {name}": tb.sample(name) for name in tb.samples()}
@@ -189,18 +192,19 @@ def fidelity() -> None:
                 )
 
 
-RUNS = (
-    ("structure", 1.25, (1, 2, 3)),
-    ("rounds", 1.25, (1, 2, 3)),
-    ("rounds", 2.0, (1,)),
+RUNS: tuple[Run, ...] = (
+    ("structure", {"layout": "structure"}, 1.25, (1, 2, 3)),
+    ("default", {}, 1.25, (1, 2, 3)),
+    ("leaves", {"search": "leaves"}, 1.25, (1, 2, 3)),
+    ("default", {}, 2.0, (1,)),
 )
-"""Layout (the default's of before, and that of now), sides over the exemplar's, and seeds."""
+"""Name and settings (the default of before, that of now, and what `--effort` tries first), sides
+over the exemplar's, and seeds."""
 
 
 def materials() -> None:
-    """1.25 times and twice the side of the central 96^3 of every exemplar, with the layout of
-    before and with that of now: how many figures of `verify` lie outside their bands, some of them,
-    and the names of those outside.
+    """1.25 times and twice the side of the central 96^3 of every exemplar: how many figures of
+    `verify` lie outside their bands, some of them, and the names of those outside.
     """
     judge_materials(96, RUNS)
 
@@ -209,21 +213,21 @@ def crops() -> None:
     """The same of 80^3 from the central 64^3, seed 1, the default alone: all materials in few
     minutes.
     """
-    judge_materials(64, (("rounds", 1.25, (1,)),))
+    judge_materials(64, (("default", {}, 1.25, (1,)),))
 
 
-def judge_materials(side: int, runs: Sequence[tuple[str, float, Sequence[int]]]) -> None:
+def judge_materials(side: int, runs: Sequence[Run]) -> None:
     """Print a row for every run from the central `side`^3 of every exemplar, and the figures out of
     band.
     """
     names = ("S2 cov", "shape", "thickness", "Euler", "pore size", "coh(4)")
-    row = table("exemplar, layout, sides, seed", "out", "of", *names, "CPU s", wide=36)
+    row = table("exemplar, what, sides, seed", "out", "of", *names, "CPU s", wide=36)
     for name, whole in wholes().items():
         exemplar = tb.crop(whole, [min(side, edge) for edge in whole.shape])
         reference = reference_of(exemplar)
-        for layout, times, seeds in runs:
+        for kind, settings, times, seeds in runs:
             shape = [int(edge * times) for edge in exemplar.shape]
-            model = fitted(exemplar, {"layout": layout})
+            model = fitted(exemplar, settings)
             for seed in seeds:
                 seconds, material = busy(lambda m=model, s=seed, n=shape: m.generate(n, seed=s))
                 metrics = judged(reference, material)
@@ -231,7 +235,7 @@ def judge_materials(side: int, runs: Sequence[tuple[str, float, Sequence[int]]])
                 out = [key for key, passed in decided.items() if passed is False]
                 count = sum(passed is not None for passed in decided.values())
                 told = (len(out), count, *cells(metrics, names), f"{seconds:.1f}")
-                row(f"{name}, {layout}, {times:g}, {seed}", *told)
+                row(f"{name}, {kind}, {times:g}, {seed}", *told)
                 print("    " + " ".join(out), flush=True)
 
 

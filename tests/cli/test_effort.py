@@ -36,21 +36,24 @@ def test_the_trial_with_the_fewest_figures_out_of_band_is_taken(bone, monkeypatc
     chosen, made = tb.choose_settings(tb.method("texture", tries=1), bone)
     assert [dict(trial.settings) for trial in made] == [
         {},
+        {"search": "leaves"},
         {"layout": "structure"},
-        {"novelty": 0.5},
     ]
     assert [len(trial.outside) for trial in made] == [3, 1, 2]
-    assert chosen.config == tb.method("texture", tries=1, layout="structure").config
-    assert str(made[1]) == "layout=structure: 1 of 5 figures out of band: figure 0"
+    assert chosen.config == tb.method("texture", tries=1, search="leaves").config
+    assert str(made[1]) == "search=leaves: 1 of 5 figures out of band: figure 0"
 
 
 @pytest.mark.whole
 def test_of_equals_the_settings_as_they_are_stay_and_what_was_set_is_not_tried(bone, monkeypatch):
     judge(monkeypatch, [1, 1])
-    asked = tb.method("texture", novelty=1.0, sweeps=1)
+    asked = tb.method("texture", search="leaves", sweeps=1)
     chosen, made = tb.choose_settings(asked, bone)
     assert chosen.config == asked.config
     assert [dict(trial.settings) for trial in made] == [{}, {"layout": "structure"}]
+    for settings in ({"preset": "fast"}, {"layout": "structure"}):  # leaves would change nothing
+        offered = tb.method("texture", **settings).config.alternatives(3)
+        assert offered and not any("search" in one for one in offered)
 
 
 def test_effort_1_tries_nothing(bone):
@@ -82,7 +85,7 @@ def test_the_command_line_tells_every_trial_and_records_the_settings(tmp_path, b
     assert len(lines) == 3
     counts = [int(line.split(": ")[2].split(" of ")[0]) for line in lines]
     recorded = tb.read(out).recipe.steps[-1]["settings"]
-    taken = ({}, {"layout": "structure"}, {"novelty": 0.5})[int(np.argmin(counts))]
+    taken = ({}, {"search": "leaves"}, {"layout": "structure"})[int(np.argmin(counts))]
     assert all(recorded[name] == value for name, value in taken.items())
     again = tb.method("texture", **taken).fit(tb.read(scan)).generate(32, seed=3)
     assert np.array_equal(tb.read(out).values, again.values)

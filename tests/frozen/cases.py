@@ -326,6 +326,11 @@ def _texture_default() -> tb.Image:
     return tb.method("texture").fit(bone(24)).generate(SHAPE, seed=6)
 
 
+@case("texture-by-leaves")
+def _texture_by_leaves() -> tb.Image:
+    return tb.method("texture", search="leaves").fit(bone(24)).generate(SHAPE, seed=6)
+
+
 @case("texture-sliced-layout")
 def _texture_sliced_layout() -> tb.Image:
     """Make what the default of before, which was laid out by sliced rounds, made."""

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import trabecula as tb
 from trabecula.core.seeds import key
+from trabecula.measure import coherence
 from trabecula.synth.api.registry import recorded_method
 from trabecula.synth.shared import novel_schedule
 from trabecula.synth.shared.content.fields import FULL, UNIT, phase_fields, quantise
@@ -376,6 +377,31 @@ def test_rounds_begin_with_noise():
         # novelty goes to the first pass alone
         assert first.rounds > later[0].rounds
         assert later == list(novel_schedule.passes(1.0, Start(top), "rounds")[1:])
+
+
+@pytest.mark.parametrize("top", [1, 2])
+def test_leaves_are_searched_from_noise_alone_and_on_coarse_levels(top):
+    plain = novel_schedule.passes(1.0, Start(top), "rounds")
+    leaves = novel_schedule.passes(1.0, Start(top), "rounds", by_leaves=True)
+    assert [p.level for p in leaves] == [p.level for p in plain]
+    assert [p.by_leaves for p in leaves] == [p.level > 0 for p in leaves]
+    assert all(a.rounds > b.rounds for a, b in zip(leaves, plain, strict=True) if a.level)
+    assert [p.width for p in leaves if p.level == 0] == [8, 6]
+    for layout in ("structure", "coarse"):
+        sliced = novel_schedule.passes(1.0, Start(top), layout, by_leaves=True)
+        assert sliced == novel_schedule.passes(1.0, Start(top), layout)
+
+
+def test_material_by_leaves_is_new_and_other_than_by_sweeps():
+    image = tb.crop(tb.sample("bone"), 40)
+    model = tb.method("texture", search="leaves").fit(image)
+    assert model._novel_rounds(tb.Request((48, 48, 48))).schedule[0].by_leaves
+    made = model.generate(48, seed=2)
+    assert made.values.mean() == pytest.approx(image.values.mean(), abs=1e-4)
+    swept = tb.method("texture").fit(image).generate(48, seed=2)
+    assert not np.array_equal(made.values, swept.values)
+    moved = tb.method("texture", preset="best").fit(image).generate(48, seed=2)
+    assert coherence(image, made)[4] < coherence(image, moved)[4] / 2
 
 
 def test_exemplars_without_an_interface_are_laid_out_on_the_coarsest_level():

@@ -120,7 +120,7 @@ def choose_settings(
 def _alternatives(method: Method, effort: int) -> list[Mapping[str, Any]]:
     """List the alternatives to a method's settings that leave alone what was set."""
     known = method.capabilities.name
-    offered = getattr(method.config_type, "alternatives", None)
+    offered = getattr(method.config, "alternatives", None)
     if offered is None:
         raise InputError(f"method {known!r} has no alternatives to try: leave the effort out")
     defaults = vars(method.config_type())

@@ -38,10 +38,10 @@ class Method(ABC):
     ----------
     capabilities : Capabilities
     config_type : type
-        Frozen dataclass of the settings. It may have three class methods: `preset(name)` gives the
+        Frozen dataclass of the settings. It may have two class methods: `preset(name)` gives the
         settings of a preset; `recorded(settings)` completes those of a recipe or a model that are
-        older than some field, so that the default of a new field need not be what held before it;
-        `alternatives(effort)` lists settings to try beside the default.
+        older than some field, so that the default of a new field need not be what held before it.
+        A method `alternatives(effort)` of its own lists settings to try beside them.
     model_type : type
         `Model` that the default `learn` builds.
     learning_cost : float

@@ -508,6 +508,7 @@ class NovelRounds(CoarseToFine[Any]):
             count=part.sweeps(number, config.sweeps),
             tries=config.tries,
             index_penalty=config.index_penalty,
+            by_leaves=part.by_leaves,
         )
         self.weigh_matches(stage.grid, found, config.robustness)
 

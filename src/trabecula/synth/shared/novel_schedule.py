@@ -33,6 +33,7 @@ bodies, and rounds from noise copy them together."""
 
 # rounds of search and vote from noise: on level 2, then on level 1; on level 1 where it comes first
 _FROM_NOISE, _THEN, _FIRST = 10, 8, 8
+_BY_LEAVES = 16  # of each of them, where leaves are searched
 _MOVED = 16  # more rounds on the coarsest level at hardly any novelty
 _WIDE_FROM = 5  # so many of them let finer levels have wide neighbourhoods
 
@@ -61,7 +62,10 @@ class Pass:
     short of it: the next pass takes some of that back. Nothing comes after the last pass, which is
     on target. `roughest` is the most interface that a step may leave, over the target's: of a pass
     that goes beyond, a vote smooths some away. The first round starts from random matches, or from
-    those of the pass before where they are `carried`, and searches `first` times as long.
+    those of the pass before where they are `carried`, and searches `first` times as long. With
+    `by_leaves` every round searches the leaf of each neighbourhood (`halving_tree`), and then
+    sweeps once: of beads the mean distance in round 8 is 1.03 times the least there is, 1.10 times
+    after sweeps alone.
     """
 
     level: int
@@ -73,40 +77,37 @@ class Pass:
     roughest: float = 1.0
     first: int = 3
     carried: bool = False
+    by_leaves: bool = False
 
     def sweeps(self, number: int, each: int) -> int:
         """Count the sweeps of round `number`, with `each` in the settings."""
+        if self.by_leaves:
+            return 2
         return each if number else each * self.first
 
 
-def passes(novelty: float, start: Start, layout: str, *, beside: bool = False) -> tuple[Pass, ...]:
+def passes(
+    novelty: float, start: Start, layout: str, *, by_leaves: bool = False, beside: bool = False
+) -> tuple[Pass, ...]:
     """List the passes from the level that is laid out to the finest one.
 
     Less than full novelty lets more neighbourhoods of the exemplar into the layout, and after
-    sliced rounds widens those of finer levels. `beside` known voxels there are no steps: a hole is
-    too small to have the two-point function of the material, and interfaces would be cut into combs
-    for it.
+    sliced rounds widens those of finer levels. `by_leaves`, from noise, bodies come nearer to the
+    exemplar's: coarse levels have more rounds with a better search, and the finest one begins with
+    wide neighbourhoods. `beside` known voxels there are no steps: a hole is too small to have the
+    two-point function of the material, and interfaces would be cut into combs for it.
     """
-    top, width = start.level, start.width
     moved = round(_MOVED * (1 - novelty))
-    wide = moved >= _WIDE_FROM
     whole, sliced = is_whole(layout), is_sliced(layout)
-    # of the first pass on the finest level
-    narrow = WIDTH if wide or not sliced or (whole and top == 1) else 5
-    coarser: list[Pass] = []
-    if not sliced and top == COARSEST:
-        coarser.append(Pass(2, width, 1, _FROM_NOISE + moved, 1))
-        coarser.append(Pass(1, WIDEST, 2, _THEN, 1))
-    elif not sliced:
-        coarser.append(Pass(1, width, 2, _FIRST + moved, 1))
-    elif top == COARSEST:
-        if moved:
-            coarser.append(Pass(2, WIDEST, 1, moved, 2))
-        coarser.append(Pass(1, WIDEST if wide else WIDTH, 1, 4, 4))
-    elif whole:
-        coarser.append(Pass(1, WIDEST, 2, 4 + moved, 4))
+    if sliced:
+        coarser = _after_slices(start.level, moved, whole=whole)
+        wide = moved >= _WIDE_FROM or (whole and start.level == 1)
+        first = WIDTH if wide else 5
+    else:
+        coarser = _from_noise(start, moved, by_leaves=by_leaves)
+        first = WIDEST if by_leaves else WIDTH
     finest = (
-        Pass(0, narrow, 2, 2, 2, beyond=1.7, roughest=1.1),
+        Pass(0, first, 2, 2, 2, beyond=1.7, roughest=1.1),
         Pass(0, WIDTH, 2, 1, 1, beyond=0.0),
     )
     if whole:
@@ -118,6 +119,27 @@ def passes(novelty: float, start: Start, layout: str, *, beside: bool = False) -
     if beside:
         return tuple(replace(p, steps=0, beyond=0.0) for p in every)
     return every
+
+
+def _from_noise(start: Start, moved: int, *, by_leaves: bool) -> tuple[Pass, ...]:
+    """List the passes that make bodies of noise."""
+    if start.level < COARSEST:
+        rounds = _BY_LEAVES if by_leaves else _FIRST
+        return (Pass(1, start.width, 2, rounds + moved, 1, by_leaves=by_leaves),)
+    rounds, then = (_BY_LEAVES, _BY_LEAVES) if by_leaves else (_FROM_NOISE, _THEN)
+    return (
+        Pass(2, start.width, 1, rounds + moved, 1, by_leaves=by_leaves),
+        Pass(1, WIDEST, 2, then, 1, by_leaves=by_leaves),
+    )
+
+
+def _after_slices(top: int, moved: int, *, whole: bool) -> tuple[Pass, ...]:
+    """List the passes on coarse levels that follow sliced rounds."""
+    if top == COARSEST:
+        wide = WIDEST if moved >= _WIDE_FROM else WIDTH
+        then = Pass(1, wide, 1, 4, 4)
+        return (Pass(2, WIDEST, 1, moved, 2), then) if moved else (then,)
+    return (Pass(1, WIDEST, 2, 4 + moved, 4),) if whole else ()
 
 
 def is_whole(layout: str) -> bool:

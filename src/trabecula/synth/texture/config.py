@@ -121,8 +121,11 @@ class TextureConfig:
 
     search: str = "coherent"
     """"coherent": each site tries its own match, its neighbours' moved along, and random ones.
-    "exact": the `nearest` nearest neighbourhoods, ordered again by the index histogram (section
-    4.2)."""
+    "leaves", with novelty that begins with noise: on coarse levels those of a leaf of a tree
+    before, in more rounds, and wide neighbourhoods first on the finest one; grains, beads and cells
+    come nearer to the exemplar's, thin struts have wider pores between them, and it takes half as
+    long again; else as "coherent". "exact": the `nearest` nearest neighbourhoods, ordered again by
+    the index histogram (section 4.2)."""
 
     nearest: int = 10
     """k, the nearest neighbourhoods that the exact search looks at, 1 .. 100 (section 4.2)."""
@@ -189,12 +192,13 @@ class TextureConfig:
             Novelty is set where it does not apply.
         """
         distances = self.field == "distance" and (labels or self.layout != "coarse")
-        applies = distances and self.search == "coherent" and not self.energetic and self.histogram
+        new = self.search != "exact" and self.histogram
+        applies = distances and new and not self.energetic
         if self.novelty and not applies:
             raise InputError(
-                f"novelty={self.novelty:g} is for search=coherent, field=distance, histogram "
-                "and no energies, with layout=coarse for labels alone: give novelty=0, or leave "
-                "the others out"
+                f"novelty={self.novelty:g} is for search=coherent or leaves, field=distance, "
+                "histogram and no energies, with layout=coarse for labels alone: give novelty=0, "
+                "or leave the others out"
             )
         return (_NOVELTY if applies else 0.0) if self.novelty is None else self.novelty
 
@@ -211,10 +215,13 @@ class TextureConfig:
         known = {name: value for name, value in settings.items() if name not in _DROPPED}
         return {**before, **later, **known}
 
-    @classmethod
-    def alternatives(cls, effort: int) -> tuple[dict[str, Any], ...]:
-        """List settings to try beside the default, of `effort` 2 or 3."""
-        return _ALTERNATIVES if effort > 2 else _ALTERNATIVES[:2]
+    def alternatives(self, effort: int) -> tuple[dict[str, Any], ...]:
+        """List settings to try beside these, of `effort` 2 or 3: leaves only where material begins
+        with noise.
+        """
+        offered = _ALTERNATIVES if effort > 2 else _ALTERNATIVES[:2]
+        noise = self.layout == "rounds" and self.novelty != 0
+        return tuple(settings for settings in offered if noise or "search" not in settings)
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
@@ -226,6 +233,7 @@ _NOVELTY = 1.0
 _DROPPED = ("schedule",)  # of recipes of before, when there were two
 
 _ALTERNATIVES: tuple[dict[str, Any], ...] = (
+    {"search": "leaves"},
     {"layout": "structure"},
     {"novelty": 0.5},
     {"layout": "coarse"},
@@ -238,7 +246,7 @@ _CHOICES: dict[str, tuple[Any, ...]] = {
     "adaptive": (True, False),
     "field": ("distance", "indicator"),
     "iso_value": ("middle", "fraction"),
-    "search": ("coherent", "exact"),
+    "search": ("coherent", "leaves", "exact"),
     "layout": ("rounds", "structure", "coarse"),
     "scan_phases": ("found", "two"),
     "grading": ("feedback", "shift"),

@@ -48,6 +48,7 @@ from trabecula.synth.shared.matching.principal_components import basis_bytes
 from trabecula.synth.shared.matching.region import Region, has_cube, regions_of
 from trabecula.synth.shared.matching.sources import Stack
 from trabecula.synth.shared.novel_schedule import (
+    Pass,
     Start,
     has_room,
     is_sliced,
@@ -162,9 +163,7 @@ class Texture(Method):
                 return max(levels, structure, key=lambda held: sum(held.values()))
         if top and labels:
             each = 8 + 9 * channels
-            kinds = [
-                (part.width, part.level) for part in passes(novelty, start, self.config.layout)
-            ]
+            kinds = [(part.width, part.level) for part in _schedule(self.config, novelty, start)]
         else:  # the second level's neighbourhoods are the ones that are described in full
             each = 14 + 11 * channels
             kinds = [(max(self.config.neighbourhood), 1)]
@@ -283,7 +282,7 @@ class TextureModel(Model):
     def _learn_new(self) -> None:
         """Learn the target of material that is not copied."""
         edges = isotropic_scale(self.exemplars[0].spacing)
-        schedule = passes(self.novelty, self.start, self.config.layout)
+        schedule = _schedule(self.config, self.novelty, self.start)
         self.aims = [
             novel_layout.aims_of(
                 self.stacks[index], self._own[index], index, edges, schedule, self.config
@@ -468,7 +467,7 @@ class TextureModel(Model):
     ) -> novel_layout.NovelRounds:
         top, beside = self._top_for(request), request.fixed is not None
         start = replace(self.start, level=top)
-        schedule = passes(self.novelty, start, self.config.layout, beside=beside)
+        schedule = _schedule(self.config, self.novelty, start, beside=beside)
         aims, slices = self.aims[: top + 1], self.slices
         if request.target:
             aims, slices = self._at_target(request)
@@ -703,11 +702,19 @@ class TextureModel(Model):
         kept += [c for level in self.learnt or [] for c in level]
         searched = 3 if exact else 1  # prepared for it, in another order
         fields = sum(stack.field.nbytes for stack in self.stacks)
-        held = sum(searched * c.features.nbytes + 9 * c.allowed.nbytes for c in kept)
+        held = sum(searched * c.features.nbytes + 13 * c.allowed.nbytes for c in kept)
         usage = usage_bytes(kept, exact=exact)
         raised = self.stacks[0].field.nbytes if self.top and self.config.vote_power != 1 else 0
         exemplar = fields + held + raised
         return {"interpreter and kernels": _PROCESS, "exemplar": exemplar} | usage
+
+
+def _schedule(
+    config: TextureConfig, novelty: float, start: Start, *, beside: bool = False
+) -> tuple[Pass, ...]:
+    """Return the passes of new material."""
+    by_leaves = config.search == "leaves"
+    return passes(novelty, start, config.layout, by_leaves=by_leaves, beside=beside)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,13 @@ from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.parallel import for_slabs, sum_slabs, thread_count
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.content.joints import find_known, pool_histograms, surroundings
-from trabecula.synth.shared.matching.kernels import Sweep, count_matches, search, start_matches
+from trabecula.synth.shared.matching.kernels import (
+    Sweep,
+    count_matches,
+    search,
+    search_leaves,
+    start_matches,
+)
 from trabecula.synth.shared.matching.neighbour_search import (
     best_among,
     index_histogram,
@@ -23,6 +29,7 @@ from trabecula.synth.shared.matching.neighbour_search import (
     usage_factors,
 )
 from trabecula.synth.shared.matching.neighbourhoods import (
+    Triple,
     block_bytes,
     grid_reach,
     planes_together,
@@ -211,9 +218,11 @@ def coherent_search(
     count: int,
     tries: int,
     index_penalty: float,
+    by_leaves: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Do `count` sweeps of the coherent search on a field, numbered from `first`: new matches and
-    their distances.
+    their distances. The first one of several may be `by_leaves`, among candidates that are likely
+    near wherever they are in the exemplars.
     """
     guides, mapped = 0 if grid.guide is None else grid.guide.shape[-1], memmap.is_active()
     work = Workspace(
@@ -226,17 +235,14 @@ def coherent_search(
     for sweep in range(first, first + count):
         name = "found" if (first + count - sweep) % 2 else "found before"
         found = work[name] if name in work else work.empty(name)
-        _search_sweep(
-            grid,
-            match,
-            field,
-            features,
-            (found, distance),
-            stage=stage,
-            sweep=sweep,
-            tries=tries,
-            index_penalty=index_penalty,
-        )
+        penalty = usage_penalties(match, grid, index_penalty)
+        if by_leaves and sweep == first:
+            _search_leaves(grid, match, field, features, found, penalty)
+        else:
+            settings = Sweep(
+                grid.candidates.shape, _ratios(grid), grid.region.wraps, stage, sweep, tries
+            )
+            _search_sweep(grid, match, field, features, (found, distance), penalty, settings)
         match = found
     return work.take("found"), work.take("distance")
 
@@ -278,40 +284,61 @@ def search_stages(
     return (Stage("search", arrays, threads * made, basis.width + 2),)
 
 
+def _ratios(grid: Grid) -> Triple:
+    """Return how many cells a neighbour's match moves along each axis. In a picture a neighbour in
+    the next plane keeps its match: there is no plane beside it.
+    """
+    ratio = grid.candidates.step // grid.candidates.stride
+    return (0 if grid.candidates.basis.flat else ratio, ratio, ratio)
+
+
+def _search_leaves(
+    grid: Grid,
+    old: np.ndarray,
+    field: np.ndarray,
+    features: np.ndarray | None,
+    match: np.ndarray,
+    penalty: np.ndarray,
+) -> None:
+    """Do one sweep among the candidates of leaves: new matches, into an array."""
+    candidates, tree = grid.candidates, grid.candidates.tree
+
+    def work(start: int, stop: int) -> None:
+        for first, last, rows in _rows(grid, field, features, start, stop):
+            search_leaves(
+                rows,
+                first,
+                candidates.features,
+                penalty,
+                tree,
+                grid.active,
+                old,
+                match,
+                first,
+                last,
+            )
+
+    for_slabs(work, len(old), least=2, anywhere=True)
+
+
 def _search_sweep(
     grid: Grid,
     old: np.ndarray,
     field: np.ndarray,
     features: np.ndarray | None,
     into: tuple[np.ndarray, np.ndarray],
-    *,
-    stage: np.uint64,
-    sweep: int,
-    tries: int,
-    index_penalty: float,
+    penalty: np.ndarray,
+    settings: Sweep,
 ) -> None:
-    """Do one sweep of the coherent search: new matches and their distances, into two arrays.
-    Features that are not given are computed on the way.
-    """
-    candidates, (match, distance) = grid.candidates, into
-    penalty = usage_penalties(old, grid, index_penalty)
-    # In a picture a neighbour in the next plane keeps its match: there is no plane beside it.
-    ratio = candidates.step // candidates.stride
-    ratios = (0 if candidates.basis.flat else ratio, ratio, ratio)
-
-    settings = Sweep(candidates.shape, ratios, grid.region.wraps, stage, sweep, tries)
+    """Do one sweep of the coherent search: new matches and their distances, into two arrays."""
+    match, distance = into
 
     def work(start: int, stop: int) -> None:
-        for first, last in _together(grid, start, stop):
-            rows = (
-                site_features(grid, field, first, last)
-                if features is None
-                else features[first:last]
-            )
+        for first, last, rows in _rows(grid, field, features, start, stop):
             search(
                 rows,
                 first,
-                candidates.features,
+                grid.candidates.features,
                 penalty,
                 grid.active,
                 old,
@@ -323,6 +350,17 @@ def _search_sweep(
             )
 
     for_slabs(work, len(old), least=2, anywhere=True)
+
+
+def _rows(
+    grid: Grid, field: np.ndarray, features: np.ndarray | None, start: int, stop: int
+) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Yield groups of planes of sites with their features, which are computed on the way where they
+    are not given.
+    """
+    for first, last in _together(grid, start, stop):
+        rows = None if features is None else features[first:last]
+        yield first, last, site_features(grid, field, first, last) if rows is None else rows
 
 
 def usage_penalties(match: np.ndarray, grid: Grid, weight: float) -> np.ndarray:

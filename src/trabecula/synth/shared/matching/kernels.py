@@ -16,6 +16,7 @@ import numpy as np
 
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.random import below, philox
+from trabecula.synth.shared.matching.halving_tree import find_leaf
 
 
 class Sweep(NamedTuple):
@@ -136,6 +137,33 @@ def _better(features, place, exemplar, penalty, candidate, total, best, least):
     if value < least:
         return candidate, value
     return best, least
+
+
+@kernel
+def search_leaves(features, first, exemplar, penalty, tree, active, old, match, start, stop):
+    """Search the best of the own match and of the leaf of a `HalvingTree` of E where each of the
+    sites start..stop would be; arrays as of `search`.
+    """
+    axes, cuts, starts, order = tree
+    for z in range(start, stop):
+        for y in range(old.shape[1]):
+            for x in range(old.shape[2]):
+                best = np.int64(old[z, y, x])
+                match[z, y, x] = best
+                if not active[z, y, x]:
+                    continue
+                site = (z - first, y, x)
+                total = _begin(features, site, exemplar, best)
+                kept = _distance(features, site, exemplar, best, total, np.inf)
+                least = np.float32(kept) * penalty[best]
+                leaf = find_leaf(features, site, axes, cuts)
+                for n in range(starts[leaf], starts[leaf + 1]):
+                    candidate = np.int64(order[n])
+                    total = _begin(features, site, exemplar, candidate)
+                    best, least = _better(
+                        features, site, exemplar, penalty, candidate, total, best, least
+                    )
+                match[z, y, x] = best
 
 
 @kernel

@@ -20,6 +20,7 @@ from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.matching.halving_tree import HalvingTree, build_tree
 from trabecula.synth.shared.matching.neighbour_index import NeighbourIndex as Nearest
 from trabecula.synth.shared.matching.neighbour_index import build_index
 from trabecula.synth.shared.matching.neighbourhoods import Basis, Triple, box_of, project, steps_of
@@ -168,6 +169,11 @@ class Candidates:
         return build_index(
             self.features, k=self.k, allowed=None if self.allowed.all() else self.allowed
         )
+
+    @cached_property
+    def tree(self) -> HalvingTree:
+        """Build the tree of the search by leaves."""
+        return build_tree(self.features, self.numbers)
 
     def bounds(self) -> np.ndarray:
         """Return (n, 3, 4) int64: for each volume and axis its start in the stack, the last corner
