@@ -122,10 +122,10 @@ class TextureConfig:
     search: str = "coherent"
     """"coherent": each site tries its own match, its neighbours' moved along, and random ones.
     "leaves", with novelty that begins with noise: on coarse levels those of a leaf of a tree
-    before, in more rounds, and wide neighbourhoods first on the finest one; grains, beads and cells
-    come nearer to the exemplar's, thin struts have wider pores between them, and it takes half as
-    long again; else as "coherent". "exact": the `nearest` nearest neighbourhoods, ordered again by
-    the index histogram (section 4.2)."""
+    before, in more rounds, and wide neighbourhoods first on the finest one; beads, fibres and cells
+    come nearer to the exemplar's, thin struts have wider pores between them, and it takes a third
+    longer; else as "coherent". "exact": the `nearest` nearest neighbourhoods, ordered again by the
+    index histogram (section 4.2)."""
 
     nearest: int = 10
     """k, the nearest neighbourhoods that the exact search looks at, 1 .. 100 (section 4.2)."""
