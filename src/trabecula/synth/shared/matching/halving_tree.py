@@ -3,8 +3,8 @@ it are a few candidates that are likely to be near.
 
 The nearest one may be in another leaf, so this is no exact search. The coherent search knows but
 the matches of neighbours and random ones, and stays with what it once found; a leaf says every
-round anew what there is for a field that has changed meanwhile. He and Sun (2012,
-doi:10.1109/CVPR.2012.6247664) put both together.
+round anew what there is for a field that has changed meanwhile. He and Sun ("Computing
+nearest-neighbor fields via propagation-assisted kd-trees", CVPR 2012) put both together.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class HalvingTree(NamedTuple):
 def build_tree(features: np.ndarray, numbers: np.ndarray) -> HalvingTree:
     """Halve the candidates `numbers` (n,) of features (N, D) int16 until a leaf holds 16 to 32."""
     depth = max(0, (len(numbers) // _LEAF).bit_length() - 1)
-    parts, axes, cuts = [numbers], [], []
+    parts, axes, cuts = [numbers.astype(np.int32)], [], []
     for _ in range(depth):
         halves = []
         for part in parts:
@@ -60,7 +60,7 @@ def build_tree(features: np.ndarray, numbers: np.ndarray) -> HalvingTree:
         np.array(axes, np.int32),
         np.array(cuts, np.int16),
         np.cumsum([0, *map(len, parts)]).astype(np.int64),
-        np.concatenate(parts).astype(np.int32),
+        np.concatenate(parts),
     )
 
 
