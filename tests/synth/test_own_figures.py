@@ -108,3 +108,21 @@ def test_a_shape_that_the_exemplar_does_not_have_is_not_held_against_a_result():
     own = OwnFigures.of(image, box=48)
     assert own is not None
     assert "shape index" not in figures_of(own, image)
+
+
+@pytest.mark.parametrize(
+    ("settings", "name", "told"),
+    [
+        ({}, "shape index", True),
+        ({}, "shape index of binder", True),
+        ({}, "thickness", False),
+        ({"search": "leaves"}, "shape index", False),
+        ({"layout": "structure"}, "shape index", False),
+        ({"preset": "fast"}, "shape index", False),
+    ],
+)
+def test_leaves_are_advised_for_shapes_that_sweeps_made(settings, name, told):
+    model = tb.method("texture", **settings).fit(tb.crop(tb.sample("bone"), 32))
+    off, right = Figure(0.3, 0.01, is_distance=True), Figure(0.01, 0.01, is_distance=True)
+    assert ("search=leaves" in model._advice({name: off})) == told
+    assert not model._advice({name: right})

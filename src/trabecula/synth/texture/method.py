@@ -102,6 +102,7 @@ from trabecula.synth.texture.grey_levels import (
 from trabecula.synth.texture.joined import StrutField, strut_field
 from trabecula.synth.texture.own_figures import (
     BOX,
+    SHAPES,
     SMALL_BOX,
     Figure,
     OwnFigures,
@@ -368,8 +369,16 @@ class TextureModel(Model):
         if figures:
             report["figures"] = {name: one.to_json() for name, one in figures.items()}
             if line := off_line(figures):
-                notify(f"off beyond the exemplar's own spread: {line}")
+                notify(f"off beyond the exemplar's own spread: {line}{self._advice(figures)}")
         return values, report
+
+    def _advice(self, figures: Mapping[str, Figure]) -> str:
+        """Return what may bring shapes nearer that are off, where it was not tried."""
+        shapes = any(one.is_off for name, one in figures.items() if name.startswith(SHAPES))
+        by_sweeps = self.top and not is_sliced(self.config.layout)
+        if not (shapes and by_sweeps and self.config.search == "coherent"):
+            return ""
+        return "; shapes may come nearer with search=leaves (--effort 2 tries it)"
 
     def _compare(self, values: np.ndarray, request: Request) -> dict[str, Figure]:
         """Return cheap figures of a result over those of the exemplar; none where the result is to

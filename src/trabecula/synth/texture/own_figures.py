@@ -25,6 +25,9 @@ BOX, SMALL_BOX = 96, 64
 its time.
 """
 
+SHAPES = "shape index"
+"""What the names of figures of shapes begin with."""
+
 _LEAST = 32  # voxels of exemplar and result along every axis, to be measured
 _BYTES = 24  # of a voxel of a box, at most, while it is measured
 _REACH = 20  # voxels: the largest distance of the two-point function
@@ -182,7 +185,7 @@ def _curves(image: Image, names: Mapping[str, str], reach: int) -> dict[str, np.
     for phase in list(names)[1:]:
         pairs = measure.two_point(image, r_max=reach, phase=phase)
         found[f"two-point function{names[phase]}"] = measure.covariance_form(pairs)[1:]
-        found[f"shape index{names[phase]}"] = measure.shape_index(image, phase=phase)
+        found[f"{SHAPES}{names[phase]}"] = measure.shape_index(image, phase=phase)
     return found
 
 
