@@ -12,16 +12,10 @@ from scipy.spatial import cKDTree
 
 import trabecula as tb
 from common import asked, busy, table
-from texture import cells, judged, reference_of
+from texture import KINDS, cells, fitted, judged, reference_of
 
 SIDE, EXEMPLAR = 160, 96
 SEEDS = (1, 2)
-KINDS: dict[str, dict[str, str]] = {
-    "structure": {"layout": "structure"},
-    "default": {},
-    "leaves": {"search": "leaves"},
-}
-"""Settings by name: the default of before, that of now, and what `--effort` tries first."""
 NAMES = ("shape", "S2 cov", "thickness", "Euler", "pore size", "coh(4)")
 
 
@@ -48,7 +42,7 @@ def texture_forms() -> None:
 
         line("another part", other, "")
         for kind, settings in KINDS.items():
-            model = tb.method("texture", **settings).fit(exemplar)
+            model = fitted(exemplar, settings)
             for seed in SEEDS:
                 seconds, made = busy(lambda m=model, s=seed: m.generate(120, seed=s))
                 line(f"{kind}, {seed}", made, f"{seconds:.1f}")

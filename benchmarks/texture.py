@@ -30,7 +30,7 @@ NARROW = ("bone a",)
 """Exemplars of 60^3; the others, whose structures are wider, are of 100^3."""
 
 
-Run = tuple[str, Mapping[str, Any], float, Sequence[int]]
+Run = tuple[str, float, Sequence[int]]
 
 
 def wholes() -> dict[str, tb.Image]:
@@ -192,14 +192,20 @@ def fidelity() -> None:
                 )
 
 
+KINDS: dict[str, dict[str, str]] = {
+    "structure": {"layout": "structure"},
+    "default": {},
+    "leaves": {"search": "leaves"},
+}
+"""Settings by name: the default of before, that of now, and what `--effort` tries first."""
+
 RUNS: tuple[Run, ...] = (
-    ("structure", {"layout": "structure"}, 1.25, (1, 2, 3)),
-    ("default", {}, 1.25, (1, 2, 3)),
-    ("leaves", {"search": "leaves"}, 1.25, (1, 2, 3)),
-    ("default", {}, 2.0, (1,)),
+    ("structure", 1.25, (1, 2, 3)),
+    ("default", 1.25, (1, 2, 3)),
+    ("leaves", 1.25, (1, 2, 3)),
+    ("default", 2.0, (1,)),
 )
-"""Name and settings (the default of before, that of now, and what `--effort` tries first), sides
-over the exemplar's, and seeds."""
+"""One of `KINDS`, sides over the exemplar's, and seeds."""
 
 
 def materials() -> None:
@@ -213,7 +219,7 @@ def crops() -> None:
     """The same of 80^3 from the central 64^3, seed 1, the default alone: all materials in few
     minutes.
     """
-    judge_materials(64, (("default", {}, 1.25, (1,)),))
+    judge_materials(64, (("default", 1.25, (1,)),))
 
 
 def judge_materials(side: int, runs: Sequence[Run]) -> None:
@@ -225,9 +231,9 @@ def judge_materials(side: int, runs: Sequence[Run]) -> None:
     for name, whole in wholes().items():
         exemplar = tb.crop(whole, [min(side, edge) for edge in whole.shape])
         reference = reference_of(exemplar)
-        for kind, settings, times, seeds in runs:
+        for kind, times, seeds in runs:
             shape = [int(edge * times) for edge in exemplar.shape]
-            model = fitted(exemplar, settings)
+            model = fitted(exemplar, KINDS[kind])
             for seed in seeds:
                 seconds, material = busy(lambda m=model, s=seed, n=shape: m.generate(n, seed=s))
                 metrics = judged(reference, material)

@@ -288,6 +288,19 @@ def test_new_material_is_the_same_in_scratch_files(model, whole, tmp_path):
 
 
 @pytest.mark.whole
+def test_leaves_are_searched_alike_in_scratch_files_and_by_threads(model, tmp_path):
+    """Features are held in memory, and made twice where arrays are in files."""
+    settings = {"sweeps": 1, "tries": 1, "search": "leaves"}
+    model = tb.method("texture", **settings).fit(model.exemplars[0])
+    with tb.threads(1), check_releases():
+        whole = model.generate(SHAPE, seed=3).values
+    with tb.threads(3):
+        assert np.array_equal(model.generate(SHAPE, seed=3).values, whole)
+    with memmap.map_large_arrays(tmp_path, memory=1 << 19, thickest=5):
+        assert np.array_equal(model.make(Request(SHAPE, seed=3))[0], whole)
+
+
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("owner", "name", "call", "left"),
     [

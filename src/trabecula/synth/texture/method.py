@@ -711,9 +711,8 @@ class TextureModel(Model):
         kept += [c for level in self.learnt or [] for c in level]
         searched = 3 if exact else 1  # prepared for it, in another order
         fields = sum(stack.field.nbytes for stack in self.stacks)
-        each = (
-            24 if self.config.search == "leaves" else 9
-        )  # with their tree, and what it is made of
+        # beside its features a candidate has its number, and a place in a tree and in its making
+        each = 24 if self.config.search == "leaves" else 9
         held = sum(searched * c.features.nbytes + each * c.allowed.nbytes for c in kept)
         usage = usage_bytes(kept, exact=exact)
         raised = self.stacks[0].field.nbytes if self.top and self.config.vote_power != 1 else 0
