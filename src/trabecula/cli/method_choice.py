@@ -34,10 +34,10 @@ def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, 
     found = recommend(crop_margins(exemplars[0]), graded=_graded(options))
     if found.method is None:
         raise InputError(f"no method was named, and none fits: {found.reason}")
+    chosen = ""
     if plain:
-        preset, settings = found.preset, dict(found.settings)
-    with_preset = f" --preset {preset}" if plain and preset else ""
-    line = f"method {found.method}{with_preset} (recommended: {found.reason})"
+        preset, settings, chosen = found.preset, dict(found.settings), found.words
+    line = f"method {found.method}{chosen} (recommended: {found.reason})"
     return method(found.method, preset=preset, **settings), line
 
 

@@ -10,7 +10,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from trabecula.core.image import Image
+from trabecula.exemplar.views import is_isotropic
 from trabecula.report.structure import has_bodies, measure_structure
 
 LEAST = 12
@@ -45,9 +48,14 @@ class Recommendation:
     def __str__(self) -> str:
         if self.method is None:
             return f"none: {self.reason}"
+        return f"--method {self.method}{self.words}: {self.reason}"
+
+    @property
+    def words(self) -> str:
+        """Return the options for its preset and settings."""
         preset = f" --preset {self.preset}" if self.preset else ""
         settings = "".join(f" --set {name}={value}" for name, value in self.settings.items())
-        return f"--method {self.method}{preset}{settings}: {self.reason}"
+        return preset + settings
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON."""
@@ -172,6 +180,13 @@ def _for_picture(image: Image) -> Recommendation:
             "mrf",
             f"a picture of {width:.1f} pixels from one phase to the next: mrf alone draws "
             "structures that fine",
+        )
+    if len(np.unique(image.values)) == 2 and is_isotropic(image):
+        return Recommendation(
+            "kopf",
+            "a picture of two phases that is alike from all sides: in space as the process whose "
+            "slices it resembles most; a scan of a similar material (--like) says more",
+            settings={"process": "auto"},
         )
     return Recommendation(
         "kopf",

@@ -4,8 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from trabecula.synth.shared.settings import keep_numbers
+from trabecula.synth.shared.settings import keep_choices, keep_numbers
 from trabecula.synth.shared.solid.config import SolidConfig
+
+_BODIES = (
+    "sheets",
+    "overlapping_spheres",
+    "packed_spheres",
+    "mixed_spheres",
+    "struts",
+    "struts_and_plates",
+    "walls",
+    "fibres",
+)
+
+PROCESSES = ("gaussian", "waves", *_BODIES, *(f"void_{name}" for name in _BODIES))
+"""Names of the processes (`processes`): of "void_..." the first phase of the picture has the form
+that is named, of the others the second."""
 
 
 @dataclass(frozen=True)
@@ -16,16 +31,23 @@ class KopfConfig(SolidConfig):
     """How strongly a value that is too frequent in the vote before weighs less in the next, by 1 +
     this times its excess share, 0 .. 1000 (the paper: 1)."""
 
+    process: str = "none"
+    """Where one picture's third dimension comes from: "none", from its planes alone; "auto", from
+    the process whose slices it resembles most (from the planes where it resembles none); or from
+    the process of this name. For two phases that are alike from all sides; other settings then
+    change nothing."""
+
     def __post_init__(self) -> None:
         super().__post_init__()
         keep_numbers(self, {"reweighting": (0, 1000)})
+        keep_choices(self, {"process": ("none", "auto", *PROCESSES)})
 
 
 @dataclass(frozen=True)
 class RelativeSettings:
     """Settings of the rounds beside a relative in space, which no one is asked for."""
 
-    layout: str = "structure"
+    layout: str = "rounds"
     """How new material begins, as of `texture`."""
 
     clip: float = 4.2

@@ -24,6 +24,7 @@ from trabecula.synth.kopf import CAPABILITIES
 from trabecula.synth.kopf.coarse_scan import CoarseScan, check_scan
 from trabecula.synth.kopf.config import KopfConfig
 from trabecula.synth.kopf.fusion import FusionRounds
+from trabecula.synth.kopf.nearest_process import ProcessRelative, choose_process
 from trabecula.synth.kopf.relative_model import RelativeModel
 from trabecula.synth.kopf.sharpening import sharpen, sharpening_stages
 from trabecula.synth.shared.content.fields import phases_present
@@ -72,14 +73,17 @@ class KopfModel(SolidModel):
     rounds_type = KopfRounds
     config: KopfConfig
     _learnt: tuple[Image, RelativeModel] | None = None
+    _chosen: ProcessRelative | None = None
 
     def make(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
         """Make a volume from pictures alone, beside a relative in space, or one that a coarse scan
         lays out.
         """
-        if request.like is not None:
-            assert isinstance(self.content, Labels)  # checked with the request
-            return self._relative(request).make(request, self.content)
+        relative = self._relative(request)
+        self._tell_process(request)
+        if relative is not None:
+            assert isinstance(self.content, Labels)  # checked with the relative
+            return relative.make(request, self.content)
         if request.coarse is None:
             return super().make(request)
         pictures, present = self._phases()
@@ -102,21 +106,69 @@ class KopfModel(SolidModel):
         super()._check_request(request)
         if request.coarse is not None:
             check_scan(request, *self._phases())
-        if request.like is not None:
-            self._relative(request).check(request)
+        beside = self._beside_process(request)
+        if beside and self.config.process not in ("none", "auto"):
+            raise RequestError(
+                f"process={self.config.process} beside {beside}: a process goes with shape, seed "
+                f"and periodic axes alone; leave out one of them"
+            )
+        relative = self._relative(request)
+        if relative is not None:
+            relative.check(request)
 
-    def _relative(self, request: Request) -> RelativeModel:
-        """Return what is learnt from the relative of a request; the last one is kept."""
-        like = request.like
-        assert like is not None
-        if self._learnt is None or self._learnt[0] is not like:
+    def _relative(self, request: Request) -> RelativeModel | None:
+        """Return what is learnt from the relative of a request, or from a process; None where the
+        planes alone make the volume.
+        """
+        if request.like is not None:
             if self.exemplars[0].kind != "labels":
                 raise RequestError(
                     f"the exemplar is {self.exemplars[0].kind}: beside a relative a picture is of "
                     "labels; segment it (--threshold)"
                 )
-            self._learnt = (like, RelativeModel.of(request, self.views, self._phases()[1]))
+            return self._learn_relative(request.like)
+        if self.config.process == "none" or self._beside_process(request):
+            return None
+        chosen = self._process()
+        if chosen.relative is None:
+            return None
+        try:
+            return self._learn_relative(chosen.relative, chosen.report)
+        except RequestError as err:
+            if self.config.process != "auto":
+                raise
+            self._chosen = ProcessRelative(None, f"{err}: its planes alone make the volume")
+            return None
+
+    def _learn_relative(
+        self, like: Image, process: Mapping[str, Any] | None = None
+    ) -> RelativeModel:
+        """Return what is learnt from a relative; the last one is kept."""
+        if self._learnt is None or self._learnt[0] is not like:
+            made = RelativeModel.of(like, self.views, self._phases()[1], process)
+            self._learnt = (like, made)
         return self._learnt[1]
+
+    def _process(self) -> ProcessRelative:
+        """Return the process that gives the third dimension, found once."""
+        if self._chosen is None:
+            present = self._phases()[1] if self.exemplars[0].kind == "labels" else ()
+            self._chosen = choose_process(self.views, present, self.config.process)
+        return self._chosen
+
+    def _beside_process(self, request: Request) -> str:
+        """Name the parts of a request that a process does not go with."""
+        return ", ".join(sorted(request.asks_for() - {"periodic"}))
+
+    def _tell_process(self, request: Request) -> None:
+        """Say where the third dimension comes from, where a process was asked for."""
+        if self.config.process == "none" or request.like is not None:
+            return
+        beside = self._beside_process(request)
+        if beside:
+            notify(f"no process goes with {beside}: the picture's planes alone make the volume")
+        else:
+            notify(self._process().line)
 
     def _phases(self) -> tuple[list[Image], tuple[int, ...]]:
         """Return the pictures of all views, and the labels that occur in them."""
@@ -124,9 +176,10 @@ class KopfModel(SolidModel):
         return pictures, phases_present(pictures)
 
     def _stages(self, request: Request, *, mapped: bool = False) -> tuple[Stage, ...]:
-        if request.like is not None:
+        relative = self._relative(request)
+        if relative is not None:
             nbytes = self.output_bytes(request)
-            return self._relative(request).stages(request, nbytes=nbytes, mapped=mapped)
+            return relative.stages(request, nbytes=nbytes, mapped=mapped)
         found = super()._stages(request, mapped=mapped)
         return found if request.coarse is None else (*found, *sharpening_stages(request.shape))
 
