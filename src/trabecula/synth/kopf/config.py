@@ -47,8 +47,9 @@ class KopfConfig(SolidConfig):
 class RelativeSettings:
     """Settings of the rounds beside a relative in space, which no one is asked for."""
 
-    layout: str = "rounds"
-    """How new material begins, as of `texture`."""
+    layout: str = "structure"
+    """How new material begins, as of `texture`; of a process "rounds": its bodies come out rounder,
+    and with fewer loops between them."""
 
     clip: float = 4.2
     """Signed distance at which the field saturates, voxels."""

@@ -20,7 +20,6 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import track
 from trabecula.exemplar.views import View, is_isotropic
-from trabecula.fields.grid import resample_array
 from trabecula.measure.components import largest_fraction
 from trabecula.measure.correlation import covariance_form, decay_length, lineal_path, two_point
 from trabecula.measure.distance import distance_transform
@@ -33,19 +32,21 @@ from trabecula.synth.kopf.relative import is_isotropic as seen_alike
 FARTHEST = 2.0
 """Distance from which on a picture resembles no process."""
 
-_WHOLE = 0.9  # of the solid in its largest component, at least
+_JOINED, _PIECES = 0.9, 0.2  # of a phase in its largest component: at least, and at most
 _ROOM = 8  # correlation lengths along a side of a picture, at least
 _BODIES = 10  # mean distances along a side of the relative
 _LEAST_VOXELS, _MOST_VOXELS = 64, 128  # of it
-_SIDE, _LENGTH = 80, 12.0  # voxels of the fields that slices are taken from, between their bodies
+_SIDE, _LENGTH = 64, 10.0  # voxels of the fields of a trial, between their bodies
+_SIDES = (64, 112)  # voxels of the fields that slices are taken from
+_ACROSS = 8  # mean distances along a side of them
 _SLICES = 8  # across each axis
-_WIDE = 160  # pixels of a slice at the picture's scale, at most
 _PICTURE = 400  # pixels of the picture that are looked at, its middle
 _REACH = 3.0  # correlation lengths that curves go
 _PLACES = 25  # on a curve
 _SMOOTH = 0.35  # correlation lengths, before the curvature is taken
 _APART = 2.0  # correlation lengths between two pixels that may lie in one component
 _MOST = 6.0  # that one figure counts
+_SHARE = 0.25  # of what processes differ by in a figure, of which nothing is made
 _LEAST = 1e-3  # spread of a figure, at least
 
 
@@ -108,13 +109,13 @@ def choose_process(views: Sequence[View], present: Sequence[int], asked: str) ->
         if asked == "auto" and one.distance > FARTHEST:
             break
         relative = _volume_of(one, float(inside.mean()), present, picture.phases)
-        if asked == one.name or _holds_together(relative):
+        if asked == one.name or _is_likely(relative, present):
             return _chosen(one, ranked, relative)
     told = ", ".join(f"{one.name} {one.distance:.2f}" for one in ranked[:3])
     return ProcessRelative(
         None,
-        f"the picture resembles no process whose solid is in one piece ({told}; {FARTHEST:g} is "
-        "the most): its planes alone make the volume",
+        f"the picture resembles no process that holds together ({told}; {FARTHEST:g} is the "
+        "most): its planes alone make the volume",
     )
 
 
@@ -145,11 +146,17 @@ def _volume_of(
     return Image(values, "labels", phases=phases)
 
 
-def _holds_together(relative: Image) -> bool:
-    """Return whether what is not void is in one piece, which slices do not tell and gravity does;
-    yes where nothing is void.
+def _is_likely(relative: Image, present: Sequence[int]) -> bool:
+    """Return whether a process may be a material, where slices say nothing of it: what is not void
+    is in one piece, or it would fall apart; any phase is joined or in pieces, not on the threshold
+    between them, where few materials are.
     """
-    return "void" not in relative.phases or largest_fraction(relative) >= _WHOLE
+    for label in present:
+        largest = largest_fraction(relative, phase=label)
+        holds = "void" in relative.phases and relative.phases[label] != "void"
+        if largest < _JOINED and (holds or largest > _PIECES):
+            return False
+    return True
 
 
 def _unfit(views: Sequence[View], present: Sequence[int]) -> str:
@@ -180,24 +187,44 @@ def rank_processes(inside: np.ndarray) -> tuple[Resemblance, ...]:
     length = decay_length(_covariance(picture, min(picture.shape) // 2))
     wanted = slice_figures(picture, length)
     found = []
-    for name in track(tuple(PROCESSES), "comparing with processes"):
-        body = name.removeprefix("void_")
-        planes = _planes(body) if name == body else -_planes(body)
-        slices, scale = _slices_at(planes, fraction, length)
+    for name in track(PROCESSES, "comparing with processes"):
+        slices, apart = _slices_of(name, fraction, length)
         figures = [slice_figures(one, length) for one in slices]
         mean = {key: np.mean([one[key] for one in figures], axis=0) for key in wanted}
-        spread = _mean_of([_differences(one, mean) for one in figures])
-        found.append((name, scale, _differences(wanted, mean), spread))
-    typical = {key: max(_LEAST, float(np.median([s[key] for *_, s in found]))) for key in wanted}
+        differences = [_differences(one, mean) for one in figures]
+        spread = {key: float(np.mean([one[key] for one in differences])) for key in wanted}
+        found.append((name, apart, mean, spread))
+    units = [
+        _units([mean for _, _, mean, _ in found], [s for *_, s in found], n)
+        for n in range(len(found))
+    ]
     ranked = [
-        Resemblance(
-            name,
-            float(np.sqrt(np.mean([min(apart[k] / typical[k], _MOST) ** 2 for k in wanted]))),
-            _LENGTH * scale,
-        )
-        for name, scale, apart, _ in found
+        Resemblance(name, _distance(_differences(wanted, mean), unit), apart)
+        for (name, apart, mean, _), unit in zip(found, units, strict=True)
     ]
     return tuple(sorted(ranked, key=lambda one: one.distance))
+
+
+def _units(
+    means: Sequence[Mapping[str, np.ndarray]],
+    spreads: Sequence[Mapping[str, float]],
+    number: int,
+) -> dict[str, float]:
+    """Return in what a distance from a process counts, by figure: what single slices differ by,
+    its own and those of most, and a share of what processes differ by.
+    """
+    found = {}
+    for key, own in spreads[number].items():
+        typical = float(np.median([spread[key] for spread in spreads]))
+        middle = np.mean([mean[key] for mean in means], axis=0)
+        between = np.mean([_apart(mean[key], middle) for mean in means])
+        found[key] = float(np.sqrt((own**2 + typical**2) / 2 + (_SHARE * between) ** 2 + _LEAST**2))
+    return found
+
+
+def _distance(apart: Mapping[str, float], units: Mapping[str, float]) -> float:
+    """Return the root mean square over the figures."""
+    return float(np.sqrt(np.mean([min(apart[key] / units[key], _MOST) ** 2 for key in apart])))
 
 
 def slice_figures(inside: np.ndarray, length: float) -> dict[str, np.ndarray]:
@@ -269,33 +296,39 @@ def _curvatures(inside: np.ndarray, length: float) -> np.ndarray:
 
 
 @lru_cache(maxsize=len(PROCESSES))
-def _planes(name: str) -> np.ndarray:
-    """Return planes (n, Y, X) across every axis of a process whose bodies are the second phase."""
-    high, side = process_field(name, _SIDE, _LENGTH), _SIDE
-    places = [(2 * n + 1) * side // (2 * _SLICES) for n in range(_SLICES)]
-    return np.array([high.take(place, axis) for axis in range(3) for place in places])
-
-
-def _slices_at(
-    planes: np.ndarray, fraction: float, length: float
-) -> tuple[list[np.ndarray], float]:
-    """Return slices (Y, X) bool, cut at a fraction of all of them, with a correlation length in
-    pixels, and the scale that gives it.
+def _trial_planes(body: str) -> np.ndarray:
+    """Return planes (n, Y, X) of a small box of a process, which say how its correlation length
+    goes with the distance between bodies.
     """
-    level, side = np.quantile(planes, 1 - fraction), planes.shape[1]
-    curve = np.mean([_covariance(plane > level, side // 2) for plane in planes], axis=0)
-    scale = length / decay_length(curve)
-    width = min(side, int(_WIDE / scale))
-    pixels = max(8, round(width * scale))
-    slices = [resample_array(plane[:width, :width], (pixels, pixels)) > level for plane in planes]
-    return slices, scale
+    return _across(process_field(body, _SIDE, _LENGTH))
+
+
+def _across(field: np.ndarray) -> np.ndarray:
+    """Return planes (n, Y, X) across every axis of a field."""
+    side = len(field)
+    places = [(2 * n + 1) * side // (2 * _SLICES) for n in range(_SLICES)]
+    return np.array([field.take(place, axis) for axis in range(3) for place in places])
+
+
+def _slices_of(name: str, fraction: float, length: float) -> tuple[np.ndarray, float]:
+    """Return slices (n, Y, X) bool of a process with a fraction and a correlation length in
+    pixels, and the distance between bodies that gives it.
+    """
+    body = name.removeprefix("void_")
+    trial = _trial_planes(body) if name == body else -_trial_planes(body)
+    cut = trial > np.quantile(trial, 1 - fraction)
+    curve = np.mean([_covariance(plane, _SIDE // 2) for plane in cut], axis=0)
+    apart = _LENGTH * length / decay_length(curve)
+    side = int(np.clip(round(_ACROSS * apart), *_SIDES))
+    planes = _across(process_field(name, side, apart))
+    return planes > np.quantile(planes, 1 - fraction), apart
 
 
 def _differences(
     one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]
 ) -> dict[str, float]:
-    return {key: float(np.sqrt(np.mean((one[key] - other[key]) ** 2))) for key in one}
+    return {key: _apart(one[key], other[key]) for key in one}
 
 
-def _mean_of(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    return {key: float(np.mean([one[key] for one in found])) for key in found[0]}
+def _apart(one: np.ndarray, other: np.ndarray) -> float:
+    return float(np.sqrt(np.mean((one - other) ** 2)))

@@ -73,7 +73,8 @@ class RelativeModel:
         RequestError
             As `adapt_relative`.
         """
-        adapted, settings = adapt_relative(like, views, present), RelativeSettings()
+        adapted = adapt_relative(like, views, present)
+        settings = RelativeSettings() if process is None else RelativeSettings(layout="rounds")
         start = start_of([adapted.image], settings.layout)
         schedule = passes(1.0, start, settings.layout)
         field = content_of([adapted.image]).fields(adapted.image)
