@@ -39,6 +39,7 @@ import image
 import image_cells
 import image_figures
 import image_paper
+import image_processes
 import image_speed
 import image_truth
 import intervals
@@ -137,6 +138,7 @@ CASES: dict[str, Callable[[], None]] = {
     "image_colour": image_figures.image_colour,
     "image_views": image_figures.image_views,
     "image_truth": image_truth.image_truth,
+    "image_processes": image_processes.image_processes,
     "image_speed": image_speed.image_speed,
     "fusion": fusion.fusion,
     "fusion_slices": fusion.fusion_slices,

@@ -98,12 +98,14 @@ def test_a_store_that_does_not_fit_is_inspected_in_its_middle(monkeypatch):
 @pytest.mark.whole
 def test_a_micrograph_works_at_once():
     made = trabecula("generate", "picture.png", "--shape", 16, "--seed", 1, "--out", "more.zarr")
-    assert choice(made) == ["trabecula: method kopf"]
+    assert choice(made) == ["trabecula: method kopf --set process=auto"]
     same = trabecula(
         "generate",
         "picture.png",
         "--method",
         "kopf",
+        "--set",
+        "process=auto",
         "--shape",
         16,
         "--seed",
@@ -145,9 +147,9 @@ def test_layers_get_the_preset_that_keeps_order():
 
 @pytest.mark.whole
 def test_plan_and_fit_choose_as_well():
-    assert choice(trabecula("plan", "picture.png", "--shape", 16)) == ["trabecula: method kopf"]
+    assert choice(trabecula("plan", "picture.png", "--shape", 16)) == ["trabecula: method kopf --set process=auto"]
     fitted = trabecula("fit", "picture.png", "--out", "picture.model")
-    assert choice(fitted) == ["trabecula: method kopf"] and "a model of kopf" in fitted.out
+    assert choice(fitted) == ["trabecula: method kopf --set process=auto"] and "a model of kopf" in fitted.out
     assert tb.load_model("picture.model").capabilities.name == "kopf"
     assert "name one, as --method gan" in refused(
         "fit", "scan.tif", "--minutes", 1, "--out", "gan.model"

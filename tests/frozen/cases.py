@@ -326,6 +326,12 @@ def _texture_default() -> tb.Image:
     return tb.method("texture").fit(bone(24)).generate(SHAPE, seed=6)
 
 
+@case("kopf-process")
+def _kopf_process() -> tb.Image:
+    learned = tb.method("kopf", process="gaussian").fit(picture(bone(48)))
+    return learned.generate(SHAPE, seed=6)
+
+
 @case("texture-by-leaves")
 def _texture_by_leaves() -> tb.Image:
     return tb.method("texture", search="leaves").fit(bone(24)).generate(SHAPE, seed=6)

@@ -180,6 +180,13 @@ def test_three_phases_get_new_material():
 def test_pictures():
     labels = tb.Image(gaussian_field(0).values[40], "labels")
     assert recommend(labels).method == "kopf"
+    assert recommend(labels).settings == {"process": "auto"}
+    assert "--method kopf --set process=auto: " in str(recommend(labels))
+    long = tb.Image(np.repeat(labels.values, 4, axis=1), "labels")
+    three = tb.Image((np.kron(labels.values, [[1, 1], [1, 1]]) + 1).astype(np.uint8), "labels")
+    three.values[:9, :9] = 0
+    for other in (long, three):
+        assert recommend(other).method == "kopf" and not recommend(other).settings
     stripes = tb.Image(np.broadcast_to(np.arange(64) // 1 % 2, (64, 64)).astype(np.uint8), "labels")
     assert recommend(stripes).method == "mrf"
     grey = tb.Image(np.random.default_rng(0).integers(0, 256, (64, 64)).astype(np.uint8), "grey")

@@ -161,8 +161,9 @@ def test_pictures_that_no_process_is_for_say_why():
     rows = as_labels(np.kron(picture_of("gaussian", length=6.0, side=80), np.ones((1, 4), bool)))
     told = choose_process(views_of([rows]), (0, 1), "auto")
     assert told.relative is None and "alike from all sides" in told.line
+    assert choose_process(views_of([rows]), (0, 1), "gaussian").report["process"] == "gaussian"
     with pytest.raises(RequestError, match="process=gaussian: a process is for one picture"):
-        choose_process(views_of([rows]), (0, 1), "gaussian")
+        choose_process(views_of([rows], ["yx", "zx"]), (0, 1), "gaussian")
     with pytest.raises(UnknownNameError, match="packed_spheres"):
         tb.method("kopf", process="packed_sphere")
 

@@ -80,10 +80,12 @@ class KopfModel(SolidModel):
         lays out.
         """
         relative = self._relative(request)
-        self._tell_process(request)
         if relative is not None:
             assert isinstance(self.content, Labels)  # checked with the relative
             return relative.make(request, self.content)
+        beside = self._beside_process(request)
+        if self.config.process != "none" and beside:
+            notify(f"no process goes with {beside}: the picture's planes alone make the volume")
         if request.coarse is None:
             return super().make(request)
         pictures, present = self._phases()
@@ -137,7 +139,7 @@ class KopfModel(SolidModel):
         except RequestError as err:
             if self.config.process != "auto":
                 raise
-            self._chosen = ProcessRelative(None, f"{err}: its planes alone make the volume")
+            self._take_process(ProcessRelative(None, f"{err}: its planes alone make the volume"))
             return None
 
     def _learn_relative(
@@ -153,22 +155,18 @@ class KopfModel(SolidModel):
         """Return the process that gives the third dimension, found once."""
         if self._chosen is None:
             present = self._phases()[1] if self.exemplars[0].kind == "labels" else ()
-            self._chosen = choose_process(self.views, present, self.config.process)
+            self._take_process(choose_process(self.views, present, self.config.process))
+        assert self._chosen is not None
         return self._chosen
+
+    def _take_process(self, chosen: ProcessRelative) -> None:
+        """Keep where the third dimension comes from, and say it."""
+        self._chosen = chosen
+        notify(chosen.line)
 
     def _beside_process(self, request: Request) -> str:
         """Name the parts of a request that a process does not go with."""
         return ", ".join(sorted(request.asks_for() - {"periodic"}))
-
-    def _tell_process(self, request: Request) -> None:
-        """Say where the third dimension comes from, where a process was asked for."""
-        if self.config.process == "none" or request.like is not None:
-            return
-        beside = self._beside_process(request)
-        if beside:
-            notify(f"no process goes with {beside}: the picture's planes alone make the volume")
-        else:
-            notify(self._process().line)
 
     def _phases(self) -> tuple[list[Image], tuple[int, ...]]:
         """Return the pictures of all views, and the labels that occur in them."""

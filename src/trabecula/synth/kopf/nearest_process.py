@@ -93,23 +93,30 @@ def choose_process(views: Sequence[View], present: Sequence[int], asked: str) ->
     Raises
     ------
     RequestError
-        A process is named, and the picture does not show two phases that are alike from all sides.
+        A process is named, and there is not one picture of two phases for all sides.
     """
-    why = _unfit(views, present)
+    why = _unfit(views, present, judge=asked == "auto")
     if why and asked != "auto":
         raise RequestError(f"process={asked}: {why}; leave out process")
     if why:
         return ProcessRelative(None, f"{why}: its planes alone make the volume")
     picture = views[0].image
     inside = picture.values == present[1]
-    ranked = rank_processes(inside)
+    fraction = float(inside.mean())
     if asked != "auto":
-        ranked = tuple(sorted(ranked, key=lambda one: one.name != asked))
+        length = decay_length(_covariance(inside, min(inside.shape) // 2))
+        apart = _apart_for(asked, fraction, length)
+        return ProcessRelative(
+            _volume_of(asked, apart, fraction, present, picture.phases),
+            f"in space as the process {asked}, which was asked for",
+            {"process": asked, "length": apart},
+        )
+    ranked = rank_processes(inside)
     for one in ranked:
-        if asked == "auto" and one.distance > FARTHEST:
+        if one.distance > FARTHEST:
             break
-        relative = _volume_of(one, float(inside.mean()), present, picture.phases)
-        if asked == one.name or _is_likely(relative, present):
+        relative = _volume_of(one.name, one.length, fraction, present, picture.phases)
+        if _is_likely(relative, present):
             return _chosen(one, ranked, relative)
     told = ", ".join(f"{one.name} {one.distance:.2f}" for one in ranked[:3])
     return ProcessRelative(
@@ -136,11 +143,11 @@ def _chosen(
 
 
 def _volume_of(
-    one: Resemblance, fraction: float, present: Sequence[int], phases: tuple[str, ...]
+    name: str, apart: float, fraction: float, present: Sequence[int], phases: tuple[str, ...]
 ) -> Image:
     """Return a volume of a process with a fraction of the second phase."""
-    side = min(_MOST_VOXELS, max(_LEAST_VOXELS, round(_BODIES * one.length)))
-    high = process_field(one.name, side, one.length)
+    side = min(_MOST_VOXELS, max(_LEAST_VOXELS, round(_BODIES * apart)))
+    high = process_field(name, side, apart)
     inside = high > np.quantile(high, 1 - fraction)
     values = np.where(inside, np.uint8(present[1]), np.uint8(present[0]))
     return Image(values, "labels", phases=phases)
@@ -159,11 +166,13 @@ def _is_likely(relative: Image, present: Sequence[int]) -> bool:
     return True
 
 
-def _unfit(views: Sequence[View], present: Sequence[int]) -> str:
-    """Return why no process can give the third dimension; empty where one may."""
+def _unfit(views: Sequence[View], present: Sequence[int], *, judge: bool) -> str:
+    """Return why no process can give the third dimension, to `judge` also by what the picture
+    shows; empty where one may.
+    """
     if len(present) != 2:
         return "a process is for labels of two phases"
-    if not seen_alike(views) or not is_isotropic(views[0].image):
+    if not seen_alike(views) or (judge and not is_isotropic(views[0].image)):
         return "a process is for one picture that is alike from all sides"
     inside = views[0].image.values == present[1]
     side = min(inside.shape)
@@ -188,8 +197,8 @@ def rank_processes(inside: np.ndarray) -> tuple[Resemblance, ...]:
     wanted = slice_figures(picture, length)
     found = []
     for name in track(PROCESSES, "comparing with processes"):
-        slices, apart = _slices_of(name, fraction, length)
-        figures = [slice_figures(one, length) for one in slices]
+        apart = _apart_for(name, fraction, length)
+        figures = [slice_figures(one, length) for one in _slices_of(name, fraction, apart)]
         mean = {key: np.mean([one[key] for one in figures], axis=0) for key in wanted}
         differences = [_differences(one, mean) for one in figures]
         spread = {key: float(np.mean([one[key] for one in differences])) for key in wanted}
@@ -310,18 +319,20 @@ def _across(field: np.ndarray) -> np.ndarray:
     return np.array([field.take(place, axis) for axis in range(3) for place in places])
 
 
-def _slices_of(name: str, fraction: float, length: float) -> tuple[np.ndarray, float]:
-    """Return slices (n, Y, X) bool of a process with a fraction and a correlation length in
-    pixels, and the distance between bodies that gives it.
-    """
+def _apart_for(name: str, fraction: float, length: float) -> float:
+    """Return the distance between bodies that gives a correlation length at a fraction, pixels."""
     body = name.removeprefix("void_")
     trial = _trial_planes(body) if name == body else -_trial_planes(body)
     cut = trial > np.quantile(trial, 1 - fraction)
     curve = np.mean([_covariance(plane, _SIDE // 2) for plane in cut], axis=0)
-    apart = _LENGTH * length / decay_length(curve)
+    return _LENGTH * length / decay_length(curve)
+
+
+def _slices_of(name: str, fraction: float, apart: float) -> np.ndarray:
+    """Return slices (n, Y, X) bool of a process with a fraction."""
     side = int(np.clip(round(_ACROSS * apart), *_SIDES))
     planes = _across(process_field(name, side, apart))
-    return planes > np.quantile(planes, 1 - fraction), apart
+    return np.asarray(planes > np.quantile(planes, 1 - fraction))
 
 
 def _differences(
