@@ -62,7 +62,7 @@ class Request:
         own: down-sampled, the result is to be this scan. It stands beside shape and seed alone.
     like : Image of labels, (Z, Y, X), optional
         A scan of a similar material, of any size: what pictures do not show is taken from it. It
-        stands beside shape, seed and periodic axes alone.
+        stands beside shape, seed, periodic axes and a mask alone.
 
     Attributes
     ----------
@@ -408,11 +408,11 @@ def _check_like(request: Request) -> None:
             f"the relative is {like.kind} of shape {like.shape}: give a 3-D scan of labels "
             "(a grey one is segmented with tb.segment)"
         )
-    beside = sorted(request.asks_for() - {"like", "periodic"})
+    beside = sorted(request.asks_for() - {"like", "periodic", "mask"})
     if beside:
         raise RequestError(
-            f"like beside {', '.join(beside)}: a relative goes with shape, seed and periodic axes "
-            f"alone; leave out {beside[0]}"
+            f"like beside {', '.join(beside)}: a relative goes with shape, seed, periodic axes and "
+            f"a mask alone; leave out {beside[0]}"
         )
 
 

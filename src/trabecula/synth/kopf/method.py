@@ -111,8 +111,8 @@ class KopfModel(SolidModel):
         beside = self._beside_process(request)
         if beside and self.config.process not in ("none", "auto"):
             raise RequestError(
-                f"process={self.config.process} beside {beside}: a process goes with shape, seed "
-                f"and periodic axes alone; leave out one of them"
+                f"process={self.config.process} beside {beside}: a process goes with shape, seed, "
+                "periodic axes and a mask alone; leave out one of them"
             )
         relative = self._relative(request)
         if relative is not None:
@@ -166,7 +166,7 @@ class KopfModel(SolidModel):
 
     def _beside_process(self, request: Request) -> str:
         """Name the parts of a request that a process does not go with."""
-        return ", ".join(sorted(request.asks_for() - {"periodic"}))
+        return ", ".join(sorted(request.asks_for() - {"periodic", "mask"}))
 
     def _phases(self) -> tuple[list[Image], tuple[int, ...]]:
         """Return the pictures of all views, and the labels that occur in them."""

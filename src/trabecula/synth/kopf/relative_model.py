@@ -111,8 +111,11 @@ class RelativeModel:
         return LEAST * 2**self.top
 
     def rounds(self, request: Request) -> novel_layout.NovelRounds:
-        """Prepare a run, of a longer volume where an axis is too short."""
-        roomy = replace(request, shape=tuple(max(side, self._least) for side in request.shape))
+        """Prepare a run, of a longer volume where an axis is too short. A mask cuts the result in
+        the end.
+        """
+        shape = tuple(max(side, self._least) for side in request.shape)
+        roomy = replace(request, shape=shape, mask=None)
         return novel_layout.NovelRounds(self.aims, self.slices, self.schedule, roomy, self.settings)
 
     def make(self, request: Request, content: Labels) -> tuple[np.ndarray, dict[str, Any]]:
