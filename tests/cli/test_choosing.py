@@ -32,6 +32,9 @@ def there(folder, monkeypatch):
     monkeypatch.chdir(folder)
 
 
+BY_PROCESS = "trabecula: method kopf --set process=auto"
+
+
 def choice(output) -> list[str]:
     return [line.split("(")[0].strip() for line in output.lines if "(recommended: " in line]
 
@@ -98,7 +101,7 @@ def test_a_store_that_does_not_fit_is_inspected_in_its_middle(monkeypatch):
 @pytest.mark.whole
 def test_a_micrograph_works_at_once():
     made = trabecula("generate", "picture.png", "--shape", 16, "--seed", 1, "--out", "more.zarr")
-    assert choice(made) == ["trabecula: method kopf --set process=auto"]
+    assert choice(made) == [BY_PROCESS]
     same = trabecula(
         "generate",
         "picture.png",
@@ -147,9 +150,11 @@ def test_layers_get_the_preset_that_keeps_order():
 
 @pytest.mark.whole
 def test_plan_and_fit_choose_as_well():
-    assert choice(trabecula("plan", "picture.png", "--shape", 16)) == ["trabecula: method kopf --set process=auto"]
+    assert choice(trabecula("plan", "picture.png", "--shape", 16)) == [
+        "trabecula: method kopf --set process=auto"
+    ]
     fitted = trabecula("fit", "picture.png", "--out", "picture.model")
-    assert choice(fitted) == ["trabecula: method kopf --set process=auto"] and "a model of kopf" in fitted.out
+    assert choice(fitted) == [BY_PROCESS] and "a model of kopf" in fitted.out
     assert tb.load_model("picture.model").capabilities.name == "kopf"
     assert "name one, as --method gan" in refused(
         "fit", "scan.tif", "--minutes", 1, "--out", "gan.model"

@@ -17,6 +17,7 @@ from trabecula.core.checks import check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.progress import notify
+from trabecula.exemplar.magnification import to_one_magnification
 from trabecula.measure.correlation import covariance_form, two_point
 from trabecula.measure.describe import autocorrelation_lines
 from trabecula.measure.disector import check_sections
@@ -71,11 +72,12 @@ class View:
 def views_of(
     exemplars: Sequence[Image], named: Sequence[str] = (), *, gap: int = 0
 ) -> tuple[View, ...]:
-    """Return the views of one picture or several.
+    """Return the views of one picture or several, at one magnification.
 
     Parameters
     ----------
     exemplars : sequence of Image, each (Y, X)
+        With square pixels of different sizes they are brought to the largest.
     named : sequence of str
         Planes: two or three that are seen across different axes. One exemplar is for all of them;
         of several there is one for each. Where none is named: one exemplar is seen in all three
@@ -101,8 +103,7 @@ def views_of(
     >>> views_of([picture, picture], ["yx", "yz"])[1].axis
     2
     """
-    images = list(exemplars)
-    named = as_planes(named)
+    images, named = to_one_magnification(exemplars), as_planes(named)
     if gap:
         check_sections(images, gap)
         check_gap_alone(gap, named)

@@ -12,6 +12,7 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.core.progress import silence
+from trabecula.exemplar.magnification import to_one_magnification
 from trabecula.exemplar.views import PLANES, View, as_axis, views_of
 from trabecula.measure.correlation import decay_length, two_point
 from trabecula.measure.correlation.axis_preference import (
@@ -46,14 +47,15 @@ class SlicePlane:
 def slice_planes(
     pictures: Sequence[Image], views: Sequence[str] = (), *, gap: int = 0
 ) -> list[SlicePlane]:
-    """Return every picture with its planes; `views` and `gap` as of a method that learns from
-    pictures. Of parallel sections the first stands for all planes.
+    """Return every picture with its planes, at one magnification; `views` and `gap` as of a method
+    that learns from pictures. Of parallel sections the first stands for all planes.
 
     Raises
     ------
     InputError
         Pictures and planes that do not fit each other (see `views_of`).
     """
+    pictures = to_one_magnification(pictures)
     found = find_views(pictures, views, gap=gap)
     pictures = pictures[:1] if gap else pictures
     numbers = [0] * len(views) if len(pictures) == 1 else list(range(len(views)))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from trabecula.synth.shared.settings import keep_choices, keep_numbers
 from trabecula.synth.shared.solid.config import SolidConfig
@@ -41,6 +43,11 @@ class KopfConfig(SolidConfig):
         super().__post_init__()
         keep_numbers(self, {"reweighting": (0, 1000)})
         keep_choices(self, {"process": ("none", "auto", *PROCESSES)})
+
+    @classmethod
+    def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Complete the settings of a recipe or a model that is older than some of them."""
+        return {"process": "none", **super().recorded(settings)}
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,10 @@ class PictureMethod(Method):
             raise InputError("the exemplar holds one value only: give one with structure")
 
     def learn(self, exemplars: Sequence[Image]) -> PictureModel:
-        return self._learn(exemplars, views_of(exemplars, self.config.views))
+        views = views_of(exemplars, self.config.views)
+        for view in views:  # a finer picture has fewer pixels at the others' magnification
+            self._check_picture(view.image)
+        return self._learn(exemplars, views)
 
     @abstractmethod
     def _width(self) -> int:
