@@ -158,6 +158,9 @@ def test_pictures_that_no_process_is_for_say_why():
     blob = picture_of("gaussian", length=40.0, side=64, at=30)
     told = choose_process(views_of([as_labels(blob)]), (0, 1), "auto")
     assert told.relative is None and "too few bodies" in told.line
+    large = np.kron(picture_of("gaussian"), np.ones((4, 4), bool))
+    told = choose_process(views_of([as_labels(large)]), (0, 1), "auto")
+    assert told.relative is None and "16 is the most" in told.line
     rows = as_labels(np.kron(picture_of("gaussian", length=6.0, side=80), np.ones((1, 4), bool)))
     told = choose_process(views_of([rows]), (0, 1), "auto")
     assert told.relative is None and "alike from all sides" in told.line

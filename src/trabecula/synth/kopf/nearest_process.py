@@ -33,7 +33,8 @@ FARTHEST = 2.0
 """Distance from which on a picture resembles no process."""
 
 _JOINED, _PIECES = 0.9, 0.2  # of a phase in its largest component: at least, and at most
-_ROOM = 8  # correlation lengths along a side of a picture, at least
+_ROOM = 12  # correlation lengths along a side of a picture, at least
+_LONGEST = 16.0  # of them, pixels: a volume to be learnt from holds eight along a side
 _BODIES = 10  # mean distances along a side of the relative
 _LEAST_VOXELS, _MOST_VOXELS = 64, 128  # of it
 _SIDE, _LENGTH = 64, 10.0  # voxels of the fields of a trial, between their bodies
@@ -181,6 +182,11 @@ def _unfit(views: Sequence[View], present: Sequence[int], *, judge: bool) -> str
         return (
             f"the picture is {side} pixels high or wide, its correlation length {length:.1f}: too "
             "few bodies to tell which process it is of"
+        )
+    if length > _LONGEST:
+        return (
+            f"the picture's correlation length is {length:.1f} pixels, {_LONGEST:g} is the most "
+            "for a process: give it with fewer pixels"
         )
     return ""
 
