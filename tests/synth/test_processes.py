@@ -9,9 +9,11 @@ import trabecula as tb
 from trabecula.core.seeds import generator
 from trabecula.errors import RequestError, UnknownNameError
 from trabecula.exemplar.views import views_of
-from trabecula.synth.kopf import nearest_process, processes
+from trabecula.synth.kopf import process_relative, processes
 from trabecula.synth.kopf.config import PROCESSES
-from trabecula.synth.kopf.nearest_process import choose_process, rank_processes, slice_figures
+from trabecula.synth.kopf.nearest_process import Resemblance, rank_processes
+from trabecula.synth.kopf.process_relative import choose_process
+from trabecula.synth.kopf.slice_figures import slice_figures
 
 SIDE = 12
 
@@ -157,7 +159,7 @@ def test_pictures_that_no_process_is_for_say_why():
     assert told.relative is None and "two phases" in told.line
     blob = picture_of("gaussian", length=40.0, side=64, at=30)
     told = choose_process(views_of([as_labels(blob)]), (0, 1), "auto")
-    assert told.relative is None and "too few bodies" in told.line
+    assert told.relative is None and "bodies too few" in told.line
     large = np.kron(picture_of("gaussian"), np.ones((4, 4), bool))
     told = choose_process(views_of([as_labels(large)]), (0, 1), "auto")
     assert told.relative is None and "16 is the most" in told.line
@@ -177,11 +179,11 @@ def test_what_would_fall_apart_or_is_neither_joined_nor_apart_is_passed_over(mon
     """
     inside = picture_of("mixed_spheres", fraction=0.2)
     near = [
-        nearest_process.Resemblance("mixed_spheres", 0.9, 13.0),
-        nearest_process.Resemblance("struts", 1.2, 20.0),
-        nearest_process.Resemblance("walls", 2.4, 20.0),
+        Resemblance("mixed_spheres", 0.9, 13.0),
+        Resemblance("struts", 1.2, 20.0),
+        Resemblance("walls", 2.4, 20.0),
     ]
-    monkeypatch.setattr(nearest_process, "rank_processes", lambda inside: tuple(near))
+    monkeypatch.setattr(process_relative, "rank_processes", lambda inside: tuple(near))
     found = choose_process(views_of([as_labels(inside)]), (0, 1), "auto")
     assert found.report["process"] == "struts" and "struts" in found.line
     assert tb.measure.largest_fraction(found.relative) > 0.9
@@ -190,10 +192,10 @@ def test_what_would_fall_apart_or_is_neither_joined_nor_apart_is_passed_over(mon
     assert choose_process(views_of([both]), (0, 1), "auto").report["process"] == "mixed_spheres"
     asked = choose_process(views_of([as_labels(inside)]), (0, 1), "walls")
     assert asked.report["process"] == "walls"
-    near[0] = nearest_process.Resemblance("gaussian", 0.8, 10.0)
+    near[0] = Resemblance("gaussian", 0.8, 10.0)
     few = as_labels(picture_of("gaussian", fraction=0.86))  # of its void .4 is in one piece
     assert choose_process(views_of([few]), (0, 1), "auto").report["process"] != "gaussian"
-    near[:2] = [nearest_process.Resemblance("mixed_spheres", 0.9, 13.0)]
+    near[:2] = [Resemblance("mixed_spheres", 0.9, 13.0)]
     told = choose_process(views_of([as_labels(inside)]), (0, 1), "auto")
     assert told.relative is None and "resembles no process" in told.line
 

@@ -24,7 +24,7 @@ from trabecula.synth.kopf import CAPABILITIES
 from trabecula.synth.kopf.coarse_scan import CoarseScan, check_scan
 from trabecula.synth.kopf.config import KopfConfig
 from trabecula.synth.kopf.fusion import FusionRounds
-from trabecula.synth.kopf.nearest_process import ProcessRelative, choose_process
+from trabecula.synth.kopf.process_relative import ProcessRelative, choose_process
 from trabecula.synth.kopf.relative_model import RelativeModel
 from trabecula.synth.kopf.sharpening import sharpen, sharpening_stages
 from trabecula.synth.shared.content.fields import phases_present
