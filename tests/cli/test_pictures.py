@@ -31,6 +31,9 @@ def made(tmp_path_factory):
     tb.write(tb.Image(picture, "labels", 4, "um"), folder / "picture.tif")
     tb.write(tb.Image(1 - blobs(1, share=0.05), "labels", 4, "um"), folder / "dense.tif")
     tb.write(tb.Image(picture, "labels", 8, "um"), folder / "coarse.tif")
+    tb.write(tb.Image(picture, "labels", (4, 8), "um"), folder / "long.tif")
+    fine = np.kron(picture, np.ones((2, 2), np.uint8))
+    tb.write(tb.Image(fine, "labels", 2, "um"), folder / "fine.tif")
     rgba = np.dstack([picture * np.uint8(200)] * 3 + [np.full(picture.shape, 255, np.uint8)])
     Pillow.fromarray(rgba).save(folder / "opaque.png")
     rgba[..., 3] = 255 * picture
@@ -157,6 +160,16 @@ def test_what_cannot_be_is_refused(made, monkeypatch, name, words, says):
     assert not (made / "new.zarr").exists() and not (made / "new.zarr.part").exists()
 
 
+def test_a_finer_picture_is_averaged_and_a_line_says_so(made, monkeypatch):
+    monkeypatch.chdir(made)
+    options = ("--shape", 16, "--seed", 1, *METHOD)
+    two = trabecula("generate", "picture.tif", "fine.tif", *options, "--out", "two.zarr")
+    assert "pixels of 2, 4 um: the finer ones are averaged to 4" in two.err
+    same = trabecula("generate", "picture.tif", "picture.tif", *options, "--out", "same.zarr")
+    assert two.sha256 == same.sha256 and tb.read("two.zarr").spacing == (4.0, 4.0, 4.0)
+    assert "averaged" not in same.err
+
+
 def test_views_that_contradict_each_other_name_the_statistic(made, monkeypatch):
     monkeypatch.chdir(made)
     said = refused(
@@ -164,7 +177,7 @@ def test_views_that_contradict_each_other_name_the_statistic(made, monkeypatch):
     )
     assert "contradict" in said and "the fraction of void" in said
     said = refused(
-        "generate", "picture.tif", "coarse.tif", "--shape", 16, *METHOD, "--out", "new.zarr"
+        "generate", "picture.tif", "long.tif", "--shape", 16, *METHOD, "--out", "new.zarr"
     )
     assert "contradict" in said and "spacing" in said
     four = ["picture.tif"] * 4
