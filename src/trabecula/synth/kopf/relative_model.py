@@ -65,7 +65,7 @@ class RelativeModel:
         """Learn a relative; of that of a `process`, what is to stand in the report as well.
 
         A process keeps its own two-point function. Steps towards the picture's bring it no nearer
-        (two slices of Berea, 96^3: relative l2 of the covariance .19 and .18 with them and without),
+        (two slices of Berea, 96^3: relative l2 of the covariance .19 and .18, with them or without)
         and leave fringes, of which loops come (Euler density -226 and -328, without them -134 and
         -174; the scan's is -70).
 

@@ -1,4 +1,4 @@
-"""Figures of a picture of two phases by which processes are told apart, all in correlation
+"""Figures of a picture of two phases in which processes differ, all in correlation
 lengths: its covariance; of either phase the lineal path, the depths of its pixels, the number of
 components and how far they reach; the curvature of the interface.
 """
