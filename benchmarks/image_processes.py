@@ -13,7 +13,7 @@ import numpy as np
 import trabecula as tb
 from common import asked, busy, table
 from descriptors import scans
-from image import side_of
+from image import draw, side_of
 from image_truth import Truth, curves, figures
 from trabecula.core.checks import check_name
 
@@ -49,10 +49,11 @@ def image_processes() -> None:
         for axis in range(3):
             values = np.ascontiguousarray(plain.values.take(plain.shape[axis] // 2, axis))
             picture = tb.Image(values, "labels", phases=plain.phases)
+            volumes = {}
             for variant, settings in VARIANTS.items():
                 model = tb.method("kopf", **settings).fit(picture)
                 seconds, made = busy(lambda m=model: m.generate(side, seed=0))
-                found = _figures(made)
+                volumes[variant], found = made, _figures(made)
                 errors = [f"{error:.3f}" for error in truth.errors(curves(made))]
                 told = [f"{found[key]:.4g}" for key in NAMES]
                 words = f"{name}, {'zyx'[axis]}: {_told(made, variant)}"
@@ -60,6 +61,7 @@ def image_processes() -> None:
                 for key in ("largest pore", *BOUNDS):
                     near[variant].setdefault(key, 0)
                     near[variant][key] += _is_near(key, found[key], scanned[key])
+            draw(f"process {name} {'zyx'[axis]}", [picture], volumes)
     count = 3 * len(_chosen())
     for variant, numbers in near.items():
         told = ", ".join(f"{key} {number}" for key, number in numbers.items())
