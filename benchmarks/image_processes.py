@@ -5,75 +5,77 @@ process that the slice resembles.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import product
 
 import numpy as np
 
 import trabecula as tb
-from common import asked, busy, table
-from descriptors import scans
+from common import busy, table
 from image import draw, side_of
-from image_truth import Truth, curves, figures
-from trabecula.core.checks import check_name
+from image_truth import Truth, chosen_scans, curves, figures
 
 SCANS = ("Berea", "NMC", "bone a", "cement, Otsu", "soil, Otsu", "cathode, coarse")
 VARIANTS: Mapping[str, Mapping[str, str]] = {
     "planes": {},
     "process": {"process": "auto"},
 }
+SEEDS = 3
+ERRORS = ("S2 radial", "axis", "diagonal")
 NAMES = ("Euler", "largest pore", "largest solid", "thickness", "pore size", "surface", "k")
 BOUNDS = {"Euler": 1.5, "thickness": 1.1, "pore size": 1.1, "surface": 1.1, "k": 1.3}
 """Factors that a figure may differ from the scan's by; `largest pore` by .05."""
 
 
 def image_processes() -> None:
-    """96^3 from the middle slice across each axis, seed 0, with `kopf` from planes and
-    `process=auto`: figures of the volume, those of the scan (mean of its eight corners of 96^3)
-    above them, and of how many slices each is near the scan's.
+    """96^3 from the middle slice across each axis, three seeds, with `kopf` from planes and
+    `process=auto`: medians over the seeds of a slice, then over the slices of a scan, beside the
+    scan's (mean of its corners of 96^3); of how many volumes each figure is near the scan's.
 
     S2 is the covariance's error, relative l2 over r = 0 .. 32: radial, the worst axis, the
     diagonals. Euler is per 1e6 voxels, k in voxels^2 of the centre 64^3, mean of the axes. Near:
     Euler number within a factor of 1.5, permeability 1.3, thickness, pore size and surface 1.1;
     the largest pore within .05. A permeability of 0 is near where the scan's is below .001.
     """
-    side = side_of(96)
-    row = table("scan, slice, by", "S2 radial", "axis", "diagonal", *NAMES, "s", wide=44)
-    near: dict[str, dict[str, int]] = {variant: {} for variant in VARIANTS}
-    for name, scan in _chosen().items():
+    side, seeds = side_of(96), range(SEEDS)
+    row = table("scan, slice, by", *ERRORS, *NAMES, "s", wide=44)
+    near = {variant: dict.fromkeys(("largest pore", *BOUNDS), 0) for variant in VARIANTS}
+    chosen = chosen_scans(SCANS)
+    for name, scan in chosen.items():
         plain = tb.Image(scan.values, "labels", phases=scan.phases)
         truth = Truth.of(plain, side)
         boxes = [_figures(box) for box in _corners(plain, side)]
         scanned = {key: float(np.mean([box[key] for box in boxes])) for key in NAMES}
         row(f"{name}: the scan", *["-"] * 3, *(f"{scanned[key]:.4g}" for key in NAMES), "-")
+        every: dict[str, list[dict[str, float]]] = {variant: [] for variant in VARIANTS}
         for axis in range(3):
             values = np.ascontiguousarray(plain.values.take(plain.shape[axis] // 2, axis))
             picture = tb.Image(values, "labels", phases=plain.phases)
             volumes = {}
             for variant, settings in VARIANTS.items():
-                model = tb.method("kopf", **settings).fit(picture)
-                seconds, made = busy(lambda m=model: m.generate(side, seed=0))
-                volumes[variant], found = made, _figures(made)
-                errors = [f"{error:.3f}" for error in truth.errors(curves(made))]
-                told = [f"{found[key]:.4g}" for key in NAMES]
+                found = []
+                for seed in seeds:
+                    model = tb.method("kopf", **settings).fit(picture)
+                    seconds, made = busy(lambda m=model, s=seed: m.generate(side, seed=s))
+                    errors = dict(zip(ERRORS, truth.errors(curves(made)), strict=True))
+                    found.append({**errors, **_figures(made), "s": seconds})
+                    volumes.setdefault(variant, made)
                 words = f"{name}, {'zyx'[axis]}: {_told(made, variant)}"
-                row(words, *errors, *told, f"{seconds:.1f}")
-                for key in ("largest pore", *BOUNDS):
-                    near[variant].setdefault(key, 0)
-                    near[variant][key] += _is_near(key, found[key], scanned[key])
+                row(words, *_medians(found))
+                every[variant] += found
             draw(f"process {name} {'zyx'[axis]}", [picture], volumes)
-    count = 3 * len(_chosen())
+        for variant, found in every.items():
+            row(f"{name}: {variant}, median", *_medians(found))
+            for key in near[variant]:
+                near[variant][key] += sum(_is_near(key, one[key], scanned[key]) for one in found)
+    count = 3 * SEEDS * len(chosen)
     for variant, numbers in near.items():
         told = ", ".join(f"{key} {number}" for key, number in numbers.items())
         print(f"{variant}: near the scan's, of {count}: {told}")
 
 
-def _chosen() -> dict[str, tb.Image]:
-    found = scans()
-    for name in asked("ONLY"):
-        check_name(name, found, name="scan")
-    wanted = asked("ONLY") or SCANS
-    return {name: found[name] for name in wanted if name in found} or dict(list(found.items())[:1])
+def _medians(found: Sequence[Mapping[str, float]]) -> list[str]:
+    return [f"{np.median([one[key] for one in found]):.4g}" for key in (*ERRORS, *NAMES, "s")]
 
 
 def _corners(scan: tb.Image, side: int) -> list[tb.Image]:

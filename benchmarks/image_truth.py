@@ -98,7 +98,7 @@ def image_truth() -> None:
     side = side_of(96)
     heads = ("S2 radial", "S2 worst axis", "S2 diagonal", "axes", *figures_heads(), "s")
     row = table("scan, method", *heads, wide=30)
-    for name, scan in _chosen().items():
+    for name, scan in chosen_scans(SCANS).items():
         plain = tb.Image(scan.values, "labels", phases=scan.phases)
         truth = Truth.of(plain, side)
         middle = [take_slices(plain, plane, 1)[0] for plane in PLANES]
@@ -144,11 +144,12 @@ def figures_heads() -> Sequence[str]:
     )
 
 
-def _chosen() -> dict[str, tb.Image]:
+def chosen_scans(names: Sequence[str]) -> dict[str, tb.Image]:
+    """The scans that were asked for, or those of the names."""
     found = scans()
     for name in asked("ONLY"):
         check_name(name, found, name="scan")
-    wanted = asked("ONLY") or SCANS
+    wanted = asked("ONLY") or names
     return {name: found[name] for name in wanted if name in found} or dict(list(found.items())[:1])
 
 
