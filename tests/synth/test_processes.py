@@ -82,10 +82,9 @@ def test_edges_and_plates_lie_where_bisecting_planes_do():
     lead = squares - squares.min(axis=-1, keepdims=True)
     planes = np.where(np.arange(7) == own[..., None], np.inf, lead / (2 * apart[own] + 1e-300))
     walls = np.sort(planes, axis=-1)
-    found = np.empty((2, *(SIDE,) * 3), np.float32)
-    for number, plates in enumerate((False, True)):
-        every = np.full((7, 7), plates)
-        processes.cell_distances(points, every, found[number], 0, SIDE)
+    found = [
+        processes.cell_field(points, np.full((7, 7), plates), SIDE) for plates in (False, True)
+    ]
     np.testing.assert_allclose(found[0], walls[..., 1], rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(found[1], walls[..., 0], rtol=1e-4, atol=1e-4)
 

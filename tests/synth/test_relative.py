@@ -9,7 +9,7 @@ import trabecula as tb
 from trabecula.errors import InputError, RequestError
 from trabecula.exemplar.views import views_of
 from trabecula.measure.smooth import gaussian
-from trabecula.synth.kopf.relative import SliceStatistics, adapt_relative, is_isotropic
+from trabecula.synth.kopf.relative import SliceStatistics, adapt_relative, is_seen_alike
 from trabecula.synth.kopf.relative_model import _move_target
 from trabecula.synth.shared.statistics.pairs import DIAGONAL, LINES
 from trabecula.synth.shared.statistics.two_point import Correlations
@@ -41,7 +41,7 @@ def views():
 
 
 def test_a_relative_gets_the_scale_and_the_fraction_of_the_picture(views):
-    assert is_isotropic(views)
+    assert is_seen_alike(views)
     found = adapt_relative(material((80, 80, 80), 4.0, 1, share=0.4), views, (0, 1))
     np.testing.assert_allclose(found.report["scale"], 0.5, rtol=0.15)
     assert found.image.shape == tuple(round(80 * scale) for scale in found.report["scale"])

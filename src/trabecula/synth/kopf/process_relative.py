@@ -19,7 +19,7 @@ from trabecula.synth.kopf.nearest_process import (
     rank_processes,
 )
 from trabecula.synth.kopf.processes import process_field
-from trabecula.synth.kopf.relative import is_isotropic as seen_alike
+from trabecula.synth.kopf.relative import is_seen_alike
 
 FARTHEST = 2.0
 """Distance from which on a picture resembles no process."""
@@ -135,7 +135,7 @@ def _unfit(views: Sequence[View], present: Sequence[int], *, judge: bool) -> str
     """
     if len(present) != 2:
         return "a process is for labels of two phases"
-    if not seen_alike(views) or (judge and not is_isotropic(views[0].image)):
+    if not is_seen_alike(views) or (judge and not is_isotropic(views[0].image)):
         return "a process is for one picture that is alike from all sides"
     inside = views[0].image.values == present[1]
     side = min(inside.shape)

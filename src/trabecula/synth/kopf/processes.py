@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from trabecula.core.seeds import generator
-from trabecula.engine.compile import kernel
+from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
 
 _STEPS = 120  # of points that push each other apart
@@ -166,9 +166,35 @@ def _cells(side: int, length: float, draw: np.random.Generator, plates: float) -
     points = _spread_points(side, length, draw)
     chosen = draw.random((len(points),) * 2) < plates
     chosen |= chosen.T
+    return -cell_field(points, chosen, side)
+
+
+def cell_field(points: np.ndarray, plates: np.ndarray, side: int) -> np.ndarray:
+    """Return the distance of every voxel to the nearest edge of its Voronoi cell, or to the nearest
+    of its walls that is a plate: (side, side, side) float32, of points (n, 3) and plates (n, n).
+    """
+
+    def squares(offset: np.ndarray) -> np.ndarray:
+        return np.asarray((offset - side * np.rint(offset / side)) ** 2)
+
+    apart = np.sqrt(squares(points[:, None] - points).sum(axis=-1))
+    along = np.ascontiguousarray(
+        np.moveaxis(squares(np.arange(side)[:, None, None] + 0.5 - points), -1, 0)
+    )
     field = np.empty((side,) * 3, np.float32)
-    for_slabs(lambda a, b: cell_distances(points, chosen, field, a, b), side)
-    return -field
+    for_slabs(lambda a, b: cell_distances(along, apart, plates, field, a, b), side)
+    return field
+
+
+@inline
+def _square_between(one, other, side):
+    """Return the squared distance of two points (3,) in a box that repeats."""
+    square = 0.0
+    for axis in range(3):
+        d = one[axis] - other[axis]
+        d -= side * np.rint(d / side)
+        square += d * d
+    return square
 
 
 @kernel
@@ -178,11 +204,7 @@ def push_apart(points, near, side, steps):
     """
     for i in range(len(points)):
         for j in range(i):
-            square = 0.0
-            for axis in range(3):
-                d = points[i, axis] - points[j, axis]
-                d -= side * np.rint(d / side)
-                square += d * d
+            square = _square_between(points[i], points[j], side)
             if square >= near * near or square == 0:
                 continue
             share = near / np.sqrt(square) - 1
@@ -205,11 +227,7 @@ def place_spheres(tries, radii, gap, side, points):
             for j in range(i):
                 if not placed[j]:
                     continue
-                square = 0.0
-                for axis in range(3):
-                    d = tries[i, t, axis] - points[j, axis]
-                    d -= side * np.rint(d / side)
-                    square += d * d
+                square = _square_between(tries[i, t], points[j], side)
                 if square < (radii[i] + radii[j] + gap) ** 2:
                     free = False
                     break
@@ -245,39 +263,22 @@ def sphere_distances(points, radii, reach, field, start, stop):
 
 
 @kernel
-def cell_distances(points, plates, field, start, stop):
-    """Write the distance of the voxels of planes start..stop to the nearest edge of their Voronoi
-    cell, or to the nearest of its walls that is a plate.
+def cell_distances(along, apart, plates, field, start, stop):
+    """Write planes start..stop of `cell_field`, of the squared offsets (3, side, n) from points
+    along every axis and the distances (n, n) between them.
 
     On an edge the second nearest wall is at 0 as well as the nearest.
     """
-    side = field.shape[0]
-    count = len(points)
-    apart = np.empty((count, count))
-    for i in range(count):
-        for j in range(count):
-            square = 0.0
-            for axis in range(3):
-                d = points[i, axis] - points[j, axis]
-                d -= side * np.rint(d / side)
-                square += d * d
-            apart[i, j] = np.sqrt(square)
-    offsets = np.empty((3, side, count))  # squared, along every axis
-    for axis in range(3):
-        for at in range(side):
-            for i in range(count):
-                d = at + 0.5 - points[i, axis]
-                d -= side * np.rint(d / side)
-                offsets[axis, at, i] = d * d
+    _, side, count = along.shape
     squares, across = np.empty(count), np.empty(count)
     for z in range(start, stop):
         for y in range(side):
             for i in range(count):
-                across[i] = offsets[0, z, i] + offsets[1, y, i]
+                across[i] = along[0, z, i] + along[1, y, i]
             for x in range(side):
                 own = 0
                 for i in range(count):
-                    squares[i] = across[i] + offsets[2, x, i]
+                    squares[i] = across[i] + along[2, x, i]
                     if squares[i] < squares[own]:
                         own = i
                 wall, edge, plate = np.inf, np.inf, np.inf

@@ -80,7 +80,7 @@ class AdaptedRelative:
     report: dict[str, Any]
 
 
-def is_isotropic(views: Sequence[View]) -> bool:
+def is_seen_alike(views: Sequence[View]) -> bool:
     """Return whether one picture is seen across all three axes, in cubic voxels."""
     spacing = {edge for view in views for edge in view.image.spacing}
     return len({view.picture for view in views}) == 1 and len(views) == 3 and len(spacing) == 1
@@ -107,7 +107,7 @@ def adapt_relative(like: Image, views: Sequence[View], present: Sequence[int]) -
             "name the phases of both alike, in the same order (--phases)"
         )
     name, inside = phases[present[1]], like.values == present[1]
-    alike = is_isotropic(views)
+    alike = is_seen_alike(views)
     picture = _statistics_of_views(views, present[1], alike=alike)
     _check_fraction(name, float(inside.mean()), picture.fraction)
     before = statistics_of_volume(inside, alike=alike)
