@@ -29,7 +29,7 @@ BOUNDS = {"Euler": 1.5, "thickness": 1.1, "pore size": 1.1, "surface": 1.1, "k":
 
 def image_processes() -> None:
     """96^3 from the middle slice across each axis, three seeds, with `kopf` from planes and
-    `process=auto`: medians over the seeds of a slice, then over the slices of a scan, beside the
+    `process=auto`: medians over the seeds of a slice and over all volumes of a scan, beside the
     scan's (mean of its corners of 96^3); of how many volumes each figure is near the scan's.
 
     S2 is the covariance's error, relative l2 over r = 0 .. 32: radial, the worst axis, the
