@@ -182,6 +182,7 @@ def test_pictures():
     assert recommend(labels).method == "kopf"
     assert recommend(labels).settings == {"process": "auto"}
     assert "--method kopf --set process=auto: " in str(recommend(labels))
+    assert not recommend(labels, alone=False).settings  # of several planes
     long = tb.Image(np.repeat(labels.values, 4, axis=1), "labels")
     three = tb.Image((np.kron(labels.values, [[1, 1], [1, 1]]) + 1).astype(np.uint8), "labels")
     three.values[:9, :9] = 0

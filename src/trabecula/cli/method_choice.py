@@ -31,7 +31,9 @@ def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, 
     plain = preset is None and not settings
     if not plain and exemplars[0].ndim == 3:
         return method("texture", preset=preset, **settings), ""
-    found = recommend(crop_margins(exemplars[0]), graded=_graded(options))
+    found = recommend(
+        crop_margins(exemplars[0]), graded=_graded(options), alone=len(exemplars) == 1
+    )
     if found.method is None:
         raise InputError(f"no method was named, and none fits: {found.reason}")
     chosen = ""

@@ -68,7 +68,7 @@ class Recommendation:
         }
 
 
-def recommend(image: Image, *, graded: Collection[str] = ()) -> Recommendation:
+def recommend(image: Image, *, graded: Collection[str] = (), alone: bool = True) -> Recommendation:
     """Choose a method, a preset and settings for an exemplar.
 
     Parameters
@@ -77,12 +77,14 @@ def recommend(image: Image, *, graded: Collection[str] = ()) -> Recommendation:
         As it would be learnt from: a grey scan that is to be segmented, segmented.
     graded : collection of str
         Names of the target descriptors that vary from place to place.
+    alone : bool
+        Whether it is the only exemplar; of several pictures each is of a plane.
     """
     if min(image.shape) < LEAST:
         return _for_little(image)
     if graded and image.ndim == 3 and image.kind == "labels":
         return _for_fields(image, graded)
-    return _for_picture(image) if image.ndim == 2 else _for_volume(image)
+    return _for_picture(image, alone=alone) if image.ndim == 2 else _for_volume(image)
 
 
 def _for_little(image: Image) -> Recommendation:
@@ -167,7 +169,7 @@ def _for_volume(image: Image) -> Recommendation:
     )
 
 
-def _for_picture(image: Image) -> Recommendation:
+def _for_picture(image: Image, *, alone: bool) -> Recommendation:
     if image.kind != "labels":
         return Recommendation(
             "chen",
@@ -181,7 +183,7 @@ def _for_picture(image: Image) -> Recommendation:
             f"a picture of {width:.1f} pixels from one phase to the next: mrf alone draws "
             "structures that fine",
         )
-    if len(np.unique(image.values)) == 2 and is_isotropic(image):
+    if alone and len(np.unique(image.values)) == 2 and is_isotropic(image):
         return Recommendation(
             "kopf",
             "a picture of two phases that is alike from all sides: in space as the process whose "
