@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import trabecula as tb
-from trabecula.synth.texture.own_figures import Figure, OwnFigures, off_line
+from trabecula.synth.shared.own_figures import Figure, OwnFigures, off_line
 
 
 def rods(side, period, width, *, seed=None):

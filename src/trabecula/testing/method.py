@@ -718,7 +718,9 @@ def _check_refused_targets(case: MethodCase) -> None:
 def _check_field(case: MethodCase) -> None:
     """Check that a field of porosity is followed, or refused before the work."""
     model, shape = _target_model(case), (60, 20, 20)
-    ramp = np.linspace(0.68, 0.9, 60, dtype=np.float32)[:, None, None]
+    low, high = model.porosities() or (0.6, 0.95)
+    middle, half = (low + high) / 2, (high - low) / 4
+    ramp = np.linspace(middle - half, middle + half, 60, dtype=np.float32)[:, None, None]
     field = np.broadcast_to(ramp, shape)
     try:
         made = _asked(model, shape, {"porosity": field}).values

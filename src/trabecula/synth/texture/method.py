@@ -58,6 +58,15 @@ from trabecula.synth.shared.novel_schedule import (
     structure_length,
 )
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
+from trabecula.synth.shared.own_figures import (
+    BOX,
+    SHAPES,
+    SMALL_BOX,
+    Figure,
+    OwnFigures,
+    figure_stages,
+    tell_off,
+)
 from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve
 from trabecula.synth.shared.small_bodies import body_stages, learn_small_bodies, settle_phases
@@ -100,15 +109,6 @@ from trabecula.synth.texture.grey_levels import (
     trial_bytes,
 )
 from trabecula.synth.texture.joined import StrutField, strut_field
-from trabecula.synth.texture.own_figures import (
-    BOX,
-    SHAPES,
-    SMALL_BOX,
-    Figure,
-    OwnFigures,
-    figure_stages,
-    off_line,
-)
 from trabecula.synth.texture.scan_phases import ScanPhases, find_phases
 
 # of the windows that tell dense places from sparse ones: structure lengths, voxels at least, and
@@ -368,8 +368,7 @@ class TextureModel(Model):
         figures = self._compare(values, request)
         if figures:
             report["figures"] = {name: one.to_json() for name, one in figures.items()}
-            if line := off_line(figures):
-                notify(f"off beyond the exemplar's own spread: {line}{self._advice(figures)}")
+            tell_off(figures, self._advice(figures))
         return values, report
 
     def _advice(self, figures: Mapping[str, Figure]) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 
 from trabecula import measure
 from trabecula.core.image import Image, with_values
+from trabecula.core.progress import notify
 from trabecula.engine.memory import Array, Stage
 from trabecula.measure.centre_crop import centre
 
@@ -44,10 +45,14 @@ class Figure:
     is_distance: bool = False
 
     @property
+    def apart(self) -> float:
+        """Return by how much it differs."""
+        return self.value if self.is_distance else abs(self.value - 1)
+
+    @property
     def is_off(self) -> bool:
         """Return whether it differs by more than samples of the material do."""
-        apart = self.value if self.is_distance else abs(self.value - 1)
-        return apart > max(_NEAR, _FAR * self.spread)
+        return self.apart > max(_NEAR, _FAR * self.spread)
 
     def describe(self, name: str) -> str:
         """Return it in words."""
@@ -133,12 +138,18 @@ class OwnFigures:
 def off_line(figures: Mapping[str, Figure]) -> str:
     """Return the figures that are off in words, the farthest first; empty where none is."""
     far = {
-        name: (one.value if one.is_distance else abs(one.value - 1)) / max(one.spread, _NEAR / _FAR)
+        name: one.apart / max(one.spread, _NEAR / _FAR)
         for name, one in figures.items()
         if one.is_off
     }
     names = sorted(far, key=lambda name: -far[name])
     return "; ".join(figures[name].describe(name) for name in names)
+
+
+def tell_off(figures: Mapping[str, Figure], advice: str = "") -> None:
+    """Say what is off, where something is."""
+    if line := off_line(figures):
+        notify(f"off beyond the exemplar's own spread: {line}{advice}")
 
 
 def figure_stages(shape: Sequence[int], exemplar: Sequence[int], *, box: int) -> tuple[Stage, ...]:
