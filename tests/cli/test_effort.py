@@ -56,6 +56,31 @@ def test_of_equals_the_settings_as_they_are_stay_and_what_was_set_is_not_tried(b
         assert offered and not any("search" in one for one in offered)
 
 
+def test_another_method_is_tried_beside_the_settings(bone, monkeypatch):
+    judge(monkeypatch, [3, 2, 3, 1])
+    asked = tb.method("texture", tries=1)
+    chosen, made = tb.choose_settings(asked, bone, others=[tb.method("noise")])
+    assert chosen.capabilities.name == "noise"
+    assert str(made[3]) == "method=noise: 1 of 5 figures out of band: figure 0"
+    judge(monkeypatch, [1, 2])
+    chosen, made = tb.choose_settings(tb.method("noise"), bone, others=[tb.method("texture")])
+    assert chosen.capabilities.name == "noise"
+    assert len(made) == 2
+
+
+def test_a_method_that_cannot_learn_is_left_out_with_a_line(bone, monkeypatch):
+    judge(monkeypatch, [1])
+    told = []
+    with tb.progress(lambda label, fraction: told.append(label)):
+        chosen, made = tb.choose_settings(
+            tb.method("noise"), bone, others=[tb.method("packing"), tb.method("kopf")]
+        )
+    assert chosen.capabilities.name == "noise"
+    assert len(made) == 1
+    assert any("packing is not tried: the exemplar has fewer than 8" in line for line in told)
+    assert any("kopf is not tried" in line for line in told)
+
+
 def test_effort_1_tries_nothing(bone):
     asked = tb.method("texture")
     assert tb.choose_settings(asked, bone, effort=1) == (asked, ())

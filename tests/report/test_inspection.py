@@ -13,7 +13,7 @@ from trabecula.errors import InputError
 from trabecula.report.inspection import inspect
 from trabecula.report.recommend import recommend
 from trabecula.report.stationarity import _inflation, find_trends
-from trabecula.report.structure import has_bodies, measure_structure
+from trabecula.report.structure import has_bodies, has_round_grains, measure_structure
 
 SIDE = 96
 Z, Y, X = np.meshgrid(*[np.arange(SIDE)] * 3, indexing="ij", sparse=True)
@@ -157,9 +157,8 @@ def test_balls_are_bodies_and_pores_between_them_are_not():
     image = balls()
     assert has_bodies(image) == "solid"
     assert has_bodies(tb.Image(1 - image.values, "labels")) == "void"
-    assert (
-        recommend(image).preset is None and "solid consists of separate" in recommend(image).reason
-    )
+    assert recommend(image).method == "packing"
+    assert "solid consists of separate" in recommend(image).reason
     assert has_bodies(gaussian_field(0, porosity=0.9)) is None
     rods = np.zeros((SIDE,) * 3, np.uint8)
     for z in range(4, SIDE, 12):
@@ -368,7 +367,7 @@ def test_an_array_whose_meaning_is_open_is_refused():
     ("file", "method", "preset"),
     [
         ("trabecular_bone_a.tif", "texture", None),
-        ("cement_air_voids.tif", "texture", None),
+        ("cement_air_voids.tif", "packing", None),
         ("electrode_3phase_a.tif", "texture", None),
         ("micrograph_ceramics.png", "kopf", None),
         ("micrograph_copolymer.png", "mrf", None),

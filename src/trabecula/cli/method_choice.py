@@ -10,6 +10,9 @@ from typing import Any
 from trabecula.cli import options as shared
 from trabecula.core.errors import InputError
 
+_FOR_TWO_PHASES = ("texture", "packing")
+"""Methods that an effort tries for a volume of two phases where none is named."""
+
 
 def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, str]:
     """Return the method that `inspect` recommends, and a line that reports it, empty where there is
@@ -70,8 +73,8 @@ def check_fits(method: Any, exemplars: list[Any]) -> None:
 
 
 def tried(method: Any, exemplars: list[Any] | None, options: argparse.Namespace) -> Any:
-    """Return the method with the settings that the trials of --effort choose, and tell what each
-    gave.
+    """Return the method with the settings that the trials of --effort choose, or another one where
+    none was named, and tell what each gave.
     """
     from trabecula.cli.terminal import note
     from trabecula.pipeline.trials import choose_settings
@@ -81,9 +84,25 @@ def tried(method: Any, exemplars: list[Any] | None, options: argparse.Namespace)
         raise InputError(
             f"--effort {effort}: trials are held against one exemplar, got {len(exemplars or ())}"
         )
-    chosen, trials = choose_settings(method, exemplars[0], effort=effort, memory=options.memory)
+    others = _others(method, exemplars[0]) if options.method is None else []
+    chosen, trials = choose_settings(
+        method, exemplars[0], others=others, effort=effort, memory=options.memory
+    )
     for trial in trials:
         note(str(trial))
     if trials:
         note(f"taken: {min(trials, key=lambda trial: len(trial.outside)).named}")
     return chosen
+
+
+def _others(chosen: Any, exemplar: Any) -> list[Any]:
+    """Return the methods that may suit a volume of two phases as well as the one that is
+    recommended.
+    """
+    import numpy as np
+
+    from trabecula.synth.api.registry import method
+
+    if exemplar.kind != "labels" or exemplar.ndim != 3 or len(np.unique(exemplar.values)) != 2:
+        return []
+    return [method(name) for name in _FOR_TWO_PHASES if name != chosen.capabilities.name]

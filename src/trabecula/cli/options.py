@@ -110,8 +110,8 @@ def add_effort(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--effort",
         metavar="N",
-        help="2 or 3: try other settings of the method first, and keep those with the fewest "
-        "figures out of band (texture; default 1: no trial)",
+        help="2 or 3: try other settings of the method first, and other methods where none is "
+        "named, and keep what has the fewest figures out of band (default 1: no trial)",
     )
 
 

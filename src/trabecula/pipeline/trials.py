@@ -32,7 +32,8 @@ class Trial:
     Attributes
     ----------
     settings : mapping
-        What differs from the settings that were asked for; empty for these themselves.
+        What differs from the settings that were asked for; empty for these themselves; "method"
+        for another one.
     outside : tuple of str
         Figures outside the band of the real material.
     decided : int
@@ -62,20 +63,27 @@ def band_line(outside: Sequence[str], decided: int) -> str:
 
 
 def choose_settings(
-    method: Method, exemplar: Image, *, effort: int = 2, memory: int | None = None
+    method: Method,
+    exemplar: Image,
+    *,
+    others: Sequence[Method] = (),
+    effort: int = 2,
+    memory: int | None = None,
 ) -> tuple[Method, tuple[Trial, ...]]:
-    """Choose the settings of a method for an exemplar by trial.
+    """Choose the settings of a method for an exemplar by trial, or another method.
 
-    Material of the exemplar's size (96 voxels a side at most) is made with the settings as they are
-    and with the method's own alternatives to them, one seed each; all are verified. The settings
-    with the fewest figures out of band are kept, the first of equals. A setting that is not at its
-    default stays as it is.
+    Material of the exemplar's size (96 voxels a side at most) is made with the settings as they
+    are, with the method's own alternatives to them, and by the others, one seed each; all are
+    verified. What has the fewest figures out of band is kept, the first of equals. A setting that
+    is not at its default stays as it is.
 
     Parameters
     ----------
     method : Method
     exemplar : Image
         Volume or picture that the method learns from.
+    others : sequence of Method
+        Other methods to try. One that cannot learn from the exemplar is left out, with a line.
     effort : int
         1: no trial. 2 or 3: the method's first alternatives, or all.
     memory : int, optional
@@ -90,42 +98,56 @@ def choose_settings(
     Raises
     ------
     InputError
-        The method has no alternatives; no setting is left to try; or what `Method.fit` and `verify`
-        raise.
+        Without others: the method has no alternatives, or no setting is left to try. What
+        `Method.fit` and `verify` raise.
     """
     number = int(as_number(effort, name="effort", low=1, high=MOST, whole=True))
     if number == 1:
         return method, ()
     check_type(method, Method, name="method", advice="give what tb.method returns")
     exemplar = as_image(exemplar)
-    asked: list[Mapping[str, Any]] = [{}, *_alternatives(method, number)]
+    own = [] if others and not _has_alternatives(method) else _alternatives(method, number)
+    asked: list[tuple[Method, Mapping[str, Any]]] = [(method, {})]
+    asked += [(type(method)(replace(method.config, **one)), one) for one in own]
+    asked += [(other, {"method": other.capabilities.name}) for other in others]
     shape = tuple(min(side, _SIDE) for side in exemplar.shape)
-    methods, made = [], []
-    for count, settings in enumerate(asked, start=1):
+    kept, made = [], []
+    for count, (one, settings) in enumerate(asked, start=1):
         notify(f"trial {count} of {len(asked)}")
-        methods.append(type(method)(replace(method.config, **settings)))
-        model = methods[-1].fit(exemplar, memory=memory)
+        try:
+            model = one.fit(exemplar, memory=memory)
+        except InputError as error:
+            if "method" not in settings:
+                raise
+            notify(f"{settings['method']} is not tried: {error}")
+            continue
         made.append(model.generate(shape, seed=_SEED, memory=memory))
+        kept.append((one, settings))
     trials = tuple(
         Trial(
             settings,
             tuple(name for name, metric in judged.metrics.items() if metric.passed is False),
             sum(metric.passed is not None for metric in judged.metrics.values()),
         )
-        for settings, judged in zip(asked, verify(exemplar, *made), strict=True)
+        for (_, settings), judged in zip(kept, verify(exemplar, *made), strict=True)
     )
-    return methods[min(range(len(trials)), key=lambda at: len(trials[at].outside))], trials
+    best = min(range(len(trials)), key=lambda at: len(trials[at].outside))
+    return kept[best][0], trials
+
+
+def _has_alternatives(method: Method) -> bool:
+    return hasattr(method.config, "alternatives")
 
 
 def _alternatives(method: Method, effort: int) -> list[Mapping[str, Any]]:
     """List the alternatives to a method's settings that leave alone what was set."""
     known = method.capabilities.name
-    offered = getattr(method.config, "alternatives", None)
-    if offered is None:
+    if not _has_alternatives(method):
         raise InputError(f"method {known!r} has no alternatives to try: leave the effort out")
     defaults = vars(method.config_type())
     changed = {name for name, value in vars(method.config).items() if value != defaults[name]}
-    left = [settings for settings in offered(effort) if not changed & settings.keys()]
+    offered = method.config.alternatives(effort)
+    left = [settings for settings in offered if not changed & settings.keys()]
     if not left:
         raise InputError(
             f"{', '.join(sorted(changed))} of method {known!r} are set, and nothing is left to "

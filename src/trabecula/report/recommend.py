@@ -14,7 +14,7 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.exemplar.views import is_isotropic
-from trabecula.report.structure import has_bodies, measure_structure
+from trabecula.report.structure import has_bodies, has_round_grains, measure_structure
 
 LEAST = 12
 """Voxels along every axis that methods of neighbourhoods need: a neighbourhood of 8 and 4 places
@@ -152,12 +152,19 @@ def _for_volume(image: Image) -> Recommendation:
             f"it makes a new structure and {image.kind} values on it; segment first for a part to "
             "be printed",
         )
-    body = has_bodies(image)
+    two = len(np.unique(image.values)) == 2
+    body = has_bodies(image) if two else None
     if body is not None:
         return Recommendation(
-            "texture",
-            f"{body} consists of separate bodies of one shape: new material, in which bodies of "
-            "the scan's sizes are placed anew; --preset best keeps their arrangement, and copies",
+            "packing",
+            f"{body} consists of separate round bodies: those of the scan are turned and packed "
+            "anew, with their shapes and sizes",
+        )
+    if two and has_round_grains(image):
+        return Recommendation(
+            "packing",
+            "its solid consists of round grains: those of the scan are turned and packed anew, "
+            "with their shapes, sizes and contacts",
         )
     if len(image.phases) > 2:
         return Recommendation(

@@ -11,6 +11,8 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.measure.grey import grey_values, near_one
 from trabecula.measure.labelling import label_components
+from trabecula.measure.partition import REACH, SMOOTHING
+from trabecula.measure.partition.partition import partition
 from trabecula.numerics.transforms import fast_side, sums_by_offset
 
 BOX = {2: 512, 3: 128}
@@ -37,9 +39,11 @@ BODIES, BODY = 20, 60
 """Components, of so many voxels each, that show whether they are of one shape."""
 ALONE = 0.3
 """Of a phase: the largest share of one component at which the phase still consists of bodies."""
-COMPACT = 0.75
-"""Volume over that of a ball with the same radius of gyration, in the median. A ball has 1, a cube
-.89, a rod three times as long as wide .38."""
+COMPACT, ROUND = 0.75, 0.93
+"""Volume over that of a ball with the same radius of gyration, in the median, of bodies that are
+separate, and that are cut apart. A ball has 1, a cube .89, a rod three times as long as wide .38.
+Cut apart, beads and cemented grains have .98 and .99, particles of an NMC electrode .90, the cells
+of a foam .89, grains of a soil .75."""
 
 
 @dataclass(frozen=True)
@@ -232,18 +236,42 @@ def has_bodies(image: Image) -> str | None:
     return None
 
 
+def has_round_grains(image: Image) -> bool:
+    """Return whether the solid of a volume of two phases consists of round bodies that touch or
+    overlap: cut apart at their necks.
+    """
+    if image.ndim == 2 or image.kind != "labels":
+        return False
+    inside = np.ascontiguousarray(solid_field(image, BOX[image.ndim]))
+    if inside.all() or not inside.any():
+        return False
+    wraps, steps = (False,) * 3, np.array(image.spacing) / min(image.spacing)
+    cut = partition(inside, steps, wraps, smoothing=SMOOTHING, reach=REACH)
+    sizes = np.bincount(cut.labels.ravel(), minlength=cut.count + 1)[1:]
+    compact = _compactness(cut.labels, sizes)
+    return compact is not None and compact >= ROUND
+
+
 def _are_bodies(inside: np.ndarray) -> bool:
     labels, sizes = label_components(inside)
     if not len(sizes) or sizes.max() > ALONE * sizes.sum():
         return False
+    compact = _compactness(labels, sizes)
+    return compact is not None and compact >= COMPACT
+
+
+def _compactness(labels: np.ndarray, sizes: np.ndarray) -> float | None:
+    """Return the volume of bodies over that of balls with the same radii of gyration, in the
+    median; None of fewer than `BODIES` whole ones of `BODY` voxels.
+    """
     whole = sizes >= BODY
-    for axis in range(inside.ndim):  # what the faces cut has another shape
+    for axis in range(labels.ndim):  # what the faces cut has another shape
         for end in (0, -1):
             cut = np.unique(labels.take(end, axis=axis))
             whole[cut[cut > 0] - 1] = False
     if whole.sum() < BODIES:
-        return False
-    places = np.nonzero(inside)
+        return None
+    places = np.nonzero(labels)
     numbers = labels[places] - 1
     spread = np.full(len(sizes), 3 / 12)  # of a voxel about its own centre
     for place in places:
@@ -252,4 +280,4 @@ def _are_bodies(inside: np.ndarray) -> bool:
             np.bincount(numbers, weights=(place - mean[numbers]) ** 2, minlength=len(sizes)) / sizes
         )
     ball = 4 / 3 * np.pi * (5 / 3 * spread) ** 1.5
-    return bool(np.median((sizes / ball)[whole]) >= COMPACT)
+    return float(np.median((sizes / ball)[whole]))

@@ -33,7 +33,7 @@ _given: dict[str, type[Method]] = {}  # `register` for the time being
 def methods() -> dict[str, Capabilities]:
     """Return every method's capabilities by its name, without importing the methods themselves.
 
-    An entry point that cannot be loaded is reported (`tb.listen`) and left out.
+    An entry point that cannot be loaded is reported (`tb.progress`) and left out.
     """
     found = {one.name: one for one in _own()}
     found |= {name: cls.capabilities for name, cls in _given.items()}
