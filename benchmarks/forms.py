@@ -26,7 +26,7 @@ def texture_forms() -> None:
     row = table("material, what", "out", "of", *NAMES, "CPU s", wide=36)
     for name in (one for one in asked("ONLY") or FORMS if one in FORMS):
         whole = FORMS[name](np.random.default_rng(0)).astype(np.uint8)
-        exemplar, other = (tb.Image(np.ascontiguousarray(part), "labels") for part in _ends(whole))
+        exemplar, other = (tb.Image(np.ascontiguousarray(part), "labels") for part in ends(whole))
         reference = reference_of(exemplar)
 
         def line(words: str, image: tb.Image, seconds: str, name=name, reference=reference) -> None:
@@ -48,7 +48,7 @@ def texture_forms() -> None:
                 line(f"{kind}, {seed}", made, f"{seconds:.1f}")
 
 
-def _ends(whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def ends(whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two corners that share an eighth of their voxels at most."""
     return whole[(slice(EXEMPLAR),) * 3], whole[(slice(-EXEMPLAR, None),) * 3]
 

@@ -48,6 +48,7 @@ import networks
 import noise
 import novelty_blind
 import oriented
+import packing
 import papers
 import photographs
 import printing
@@ -112,6 +113,7 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_grey": texture_grey.texture_grey,
     "texture_joints": joints.texture_joints,
     "texture_forms": forms.texture_forms,
+    "packing": packing.packing,
     "by_example_2017": by_example.by_example_2017,
     "by_example_2021": by_example.by_example_2021,
     "evenness": evenness.evenness_table,

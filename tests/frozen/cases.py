@@ -332,6 +332,20 @@ def _kopf_process() -> tb.Image:
     return learned.generate(SHAPE, seed=6)
 
 
+@case("packing")
+def _packing() -> tb.Image:
+    cells = tb.crop(tb.sample("cells"), 40)
+    learned = tb.method("packing", phase="void", separation=0.95, fillet=0.5).fit(cells)
+    return learned.generate((40, 36, 28), seed=1, periodic=(True, False, False))
+
+
+@case("packing-trials")
+def _packing_trials() -> tb.Image:
+    cells = tb.crop(tb.sample("cells"), 48)
+    learned = tb.method("packing", fillet=0.0, degree=3).fit(cells)
+    return learned.generate(32, seed=2, target={"porosity": 0.55})
+
+
 @case("texture-by-leaves")
 def _texture_by_leaves() -> tb.Image:
     return tb.method("texture", search="leaves").fit(bone(24)).generate(SHAPE, seed=6)

@@ -152,6 +152,24 @@ def test_samples_keep_the_default(name):
     assert set(found.origin.values()) == {"the sample"}
 
 
+def test_balls_that_are_cemented_are_round_grains_and_a_random_field_has_none():
+    at = np.stack(np.indices((72, 72, 72)), -1)
+    draw = np.random.default_rng(2)
+    centres, inside = np.full((1, 3), 36.0), np.zeros((72, 72, 72), bool)
+    for centre in draw.uniform(0, 72, (3000, 3)):
+        if ((centres - centre) ** 2).sum(-1).min() > 10.5**2:
+            centres = np.vstack([centres, centre])
+            inside |= ((at - centre) ** 2).sum(-1) < 6.8**2
+    image = tb.Image(inside.astype(np.uint8), "labels")
+    assert has_bodies(image) is None
+    assert has_round_grains(image)
+    assert recommend(image).method == "packing"
+    assert "round grains" in recommend(image).reason
+    assert not has_round_grains(gaussian_field(0, porosity=0.5))
+    assert not has_round_grains(tb.Image(1 - image.values, "labels"))
+    assert not has_round_grains(tb.sample("foam"))
+
+
 @pytest.mark.whole
 def test_balls_are_bodies_and_pores_between_them_are_not():
     image = balls()

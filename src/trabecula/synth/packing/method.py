@@ -32,9 +32,9 @@ _ROUND = 0.12
 """What surfaces may be off the radii of bodies, over their size: materials that are no bodies have
 more (bone .18, layers of fibres .15; grains of a soil .08, beads .02)."""
 
-_ALIKE, _GOOD = 1.5, 1.0
+_ALIKE, _GOOD, _POOR = 1.5, 1.0, 3.0
 """A phase is tried as well whose misfit is so many times the other's at most, where that one's
-figures are off by more than so many spreads."""
+figures are off by more than so many spreads; from so many on a line says that they are far off."""
 
 _PROCESS = 200 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _VOXEL = 14  # bytes of a voxel and its share of the margin while a depth is drawn and cut
@@ -93,6 +93,11 @@ class Packing(Method):
                     any_way=self._any_way(one),
                 )
         best = min(tried, key=lambda label: (tried[label].score or 0, label))
+        if (tried[best].score or 0) > _POOR:
+            notify(
+                f"packings of the {image.phases[best]}'s bodies are far from the scan, "
+                f"{tried[best].score:.1f} of its spreads: --method texture may be nearer"
+            )
         return best, whole[best], tried[best]
 
     def _advice(self, image: Image, found: Mapping[int, Bodies | None]) -> str:

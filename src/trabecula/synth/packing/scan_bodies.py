@@ -13,7 +13,7 @@ from trabecula.synth.packing.radial_shapes import ball_radii, degree_for, fit_ra
 LEAST = 8
 """Bodies that no face of the scan cuts, at least."""
 
-_ALIKE = 3  # whole bodies that stand for one that a face cuts
+_ALIKE, _NEAR = 3, 0.1  # whole bodies that stand for one that a face cuts, and radii as near
 _LONGER, _SURE = 0.1, 4.0  # bodies lie: so much longer along an axis, by so many standard errors
 
 
@@ -106,7 +106,9 @@ def _weights(cut: Partition, whole: np.ndarray) -> np.ndarray:
     counts = np.ones(int(whole.sum()))
     own = radius[whole]
     for one in radius[~whole & ~at_face]:
-        alike = np.argsort(np.abs(own - one), kind="stable")[:_ALIKE]
+        off = np.abs(own - one)
+        alike = np.argsort(off, kind="stable")[:_ALIKE]
+        alike = alike[off[alike] <= max(_NEAR * one, off[alike[0]])]
         counts[alike] += 1 / len(alike)
     return np.asarray(counts / counts.sum())
 
