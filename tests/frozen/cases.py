@@ -346,6 +346,13 @@ def _packing_trials() -> tb.Image:
     return learned.generate(32, seed=2, target={"porosity": 0.55})
 
 
+@case("fibres")
+def _fibres() -> tb.Image:
+    foam = tb.crop(tb.sample("foam"), 40)
+    learned = tb.method("fibres", phase="solid", separation=0.7, fillet=0.5, bend=0.2).fit(foam)
+    return learned.generate((40, 36, 28), seed=1, periodic=(True, False, False))
+
+
 @case("texture-by-leaves")
 def _texture_by_leaves() -> tb.Image:
     return tb.method("texture", search="leaves").fit(bone(24)).generate(SHAPE, seed=6)

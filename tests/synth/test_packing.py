@@ -7,8 +7,8 @@ import pytest
 
 import trabecula as tb
 from trabecula.core.errors import InputError, RequestError
-from trabecula.synth.packing.arrangement import _neighbours, arrange
-from trabecula.synth.packing.drawing import deepest_by_share, deepest_share, draw_depth
+from trabecula.synth.packing.arrangement import arrange
+from trabecula.synth.packing.drawing import draw_depth
 from trabecula.synth.packing.radial_shapes import (
     NODES,
     SIZE,
@@ -19,7 +19,9 @@ from trabecula.synth.packing.radial_shapes import (
     table_directions,
 )
 from trabecula.synth.packing.scan_bodies import Bodies, find_bodies
-from trabecula.synth.packing.trials import _search, choose
+from trabecula.synth.shared.packed.depth import deepest_by_share, deepest_share
+from trabecula.synth.shared.packed.neighbours import neighbour_pairs
+from trabecula.synth.shared.packed.trials import SEPARATIONS, search
 
 CUBE = np.ones(3)
 
@@ -175,7 +177,7 @@ def test_neighbours_are_those_of_a_search_of_all_pairs():
     apart -= sides * np.rint(apart / sides)
     near = (apart**2).sum(-1) < (reach[:, None] + reach) ** 2
     wanted = {frozenset(pair) for pair in np.argwhere(np.triu(near, 1)).tolist()}
-    found = _neighbours(places, reach, sides)
+    found = neighbour_pairs(places, reach, sides)
     assert {frozenset(pair) for pair in found.tolist()} == wanted
     assert len(found) == len(wanted)
     assert (reach[found[:, 0]] >= reach[found[:, 1]]).all()
@@ -258,15 +260,14 @@ def test_the_search_finds_the_lowest_place_of_a_valley():
         across, along = rounding - 2 - 8 * (apart - 1), apart - 0.9
         return abs(across) + 3 * abs(along) + 0.01 * seed
 
-    found = _search(valley, None, None)
+    found = search(valley, SEPARATIONS, None)
     assert (found.separation, found.fillet) == (0.9, 1.25)
-    assert _search(valley, 1.1, None).fillet == pytest.approx(2.75)
-    assert _search(valley, None, 2.0).separation == pytest.approx(1.0)
+    assert search(valley, (1.1,), None).fillet == pytest.approx(2.75)
+    assert search(valley, SEPARATIONS, 2.0).separation == pytest.approx(1.0)
 
 
 def test_trials_find_that_beads_touch_with_sharp_edges(beads):
-    bodies = find_bodies(beads, 1, 4)
-    found = choose(beads, bodies, 1, separation=None, fillet=None, any_way=True)
+    found = tb.method("packing", phase="solid", degree=4).fit(beads).packed
     assert 0.9 <= found.separation <= 1.0
     assert found.fillet <= 0.5
     assert found.score < 2

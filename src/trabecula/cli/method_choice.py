@@ -10,7 +10,7 @@ from typing import Any
 from trabecula.cli import options as shared
 from trabecula.core.errors import InputError
 
-_FOR_TWO_PHASES = ("texture", "packing")
+_FOR_TWO_PHASES = ("texture", "packing", "fibres")
 """Methods that an effort tries for a volume of two phases where none is named."""
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import inspect
+import json
 import os
 import platform
 import subprocess
@@ -466,13 +467,14 @@ def _check_recipe(case: MethodCase) -> None:
 
 
 _DIGEST = """
-import importlib, sys
+import importlib, json, sys
 import trabecula as tb
 from trabecula.synth.api.registry import register
 
 module, _, name = sys.argv[1].partition(":")
-cls, given = getattr(importlib.import_module(module), name), sys.argv[2:]
-model = cls.configure().fit(tb.read(given[0]) if given else None)
+cls, settings = getattr(importlib.import_module(module), name), json.loads(sys.argv[2])
+given = sys.argv[3:]
+model = cls.configure(**settings).fit(tb.read(given[0]) if given else None)
 size = (18, 20, 23) if given and model.facts[0].ndim == 2 else (26, 30, 33)
 print(model.generate(size, seed=5).recipe.steps[-1]["sha256"])
 """
@@ -502,7 +504,8 @@ def _check_old_processor(case: MethodCase) -> None:
     path = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     cache = Path(tempfile.gettempdir()) / "trabecula-old-processor"  # compiled kernels stay
     old = {**_OLD, "NUMBA_CACHE_DIR": os.fspath(cache)}
-    command = [sys.executable, "-c", _DIGEST, case.capabilities.method, *given]
+    settings = json.dumps(dict(case.capabilities.trial))
+    command = [sys.executable, "-c", _DIGEST, case.capabilities.method, settings, *given]
     found = []
     for extra in ({}, old):
         env = {**os.environ, **path, **extra}

@@ -16,10 +16,12 @@ import numpy as np
 
 from trabecula.core.progress import track
 from trabecula.core.seeds import generator
-from trabecula.engine.compile import inline, kernel
+from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_items
 from trabecula.synth.packing.radial_shapes import radius_towards
 from trabecula.synth.packing.scan_bodies import Bodies
+from trabecula.synth.shared.packed.drawn import drawn_evenly
+from trabecula.synth.shared.packed.neighbours import add_pushes, neighbour_pairs, offset_between
 
 STEPS = 300
 _GROWN = 0.5  # of the steps, until bodies push over their whole distance
@@ -87,7 +89,7 @@ def arrange(
     box = np.asarray(sides, np.float64)
     draw = generator(seed, _STAGE)
     count = max(1, round(density * float(np.prod(box))))
-    shapes = _drawn(bodies.weights, count, draw)
+    shapes = drawn_evenly(bodies.weights, count, draw)
     turns = _turns(count, any_way, draw)
     places = draw.random((count, 3)) * box
     largest = bodies.radii.max(axis=1)[shapes].astype(np.float64)
@@ -97,13 +99,13 @@ def arrange(
     steps = range(STEPS)
     for number in steps if quiet else track(steps, "packing bodies"):
         if number % _RENEW == 0:
-            pairs = _neighbours(places, _NEAR * separation * largest, box)
+            pairs = neighbour_pairs(places, _NEAR * separation * largest, box)
         grown = min(1.0, 0.5 + 0.5 * number / (_GROWN * STEPS))
         pushes = np.empty((len(pairs), 4))
         given = (places, shapes, turns, bodies.radii, box, pairs, grown * separation, pushes)
         for_items(partial(_push, *given), len(pairs), least=512)
         moves = np.zeros_like(places)
-        _gather(pairs, pushes, moves)
+        add_pushes(pairs, pushes, moves)
         lacking = float(pushes[:, 3].sum() / mean.sum())
         if grown == 1 and lacking < _DONE:
             break
@@ -111,14 +113,6 @@ def arrange(
         moves *= np.minimum(1, _FARTHEST * mean / np.maximum(length, 1e-12))[:, None]
         places = np.mod(places + moves, box)
     return Arrangement(bodies.radii, shapes, turns, places, box, lacking)
-
-
-def _drawn(weights: np.ndarray, count: int, draw: np.random.Generator) -> np.ndarray:
-    """Return the shapes of `count` bodies, each as often as its weight says up to one."""
-    order = draw.permutation(len(weights))
-    marks = (np.arange(count) + draw.random()) / count
-    found = np.searchsorted(np.cumsum(weights[order]), marks)
-    return np.asarray(draw.permutation(order[np.minimum(found, len(order) - 1)]))
 
 
 def _turns(count: int, any_way: bool, draw: np.random.Generator) -> np.ndarray:
@@ -136,85 +130,6 @@ def _turns(count: int, any_way: bool, draw: np.random.Generator) -> np.ndarray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
 
-def _neighbours(places: np.ndarray, reach: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Return the pairs of bodies nearer than the sum of their reaches, (P, 2) int64: the one with
-    the larger reach first, which looks for the others.
-    """
-    cell = max(2 * float(np.median(reach)), 1.0)
-    cells = np.maximum((sides / cell).astype(np.int64), 1)
-    head, following = _cells(places, sides, cells)
-    counts = np.zeros(len(places) + 1, np.int64)
-    nothing = np.empty((0, 2), np.int64)
-    given = (places, reach, sides, cells, head, following)
-    for_items(partial(_find, *given, counts, nothing), len(places), least=64)
-    ends = np.cumsum(counts)
-    pairs = np.empty((int(ends[-1]), 2), np.int64)
-    for_items(partial(_find, *given, ends, pairs), len(places), least=64)
-    return pairs
-
-
-@kernel
-def _cells(places, sides, cells):
-    """Return the lists of the bodies in every cell: the first, and the one after each."""
-    head = np.full(cells[0] * cells[1] * cells[2], -1, np.int64)
-    following = np.empty(len(places), np.int64)
-    for i in range(len(places) - 1, -1, -1):
-        c = np.int64(0)
-        for axis in range(3):
-            c = c * cells[axis] + min(
-                np.int64(places[i, axis] / sides[axis] * cells[axis]), cells[axis] - 1
-            )
-        following[i] = head[c]
-        head[c] = i
-    return head, following
-
-
-@inline
-def _offset(one, other, sides):
-    """Return the way (3,) from a place to another's nearest image."""
-    dz, dy, dx = other[0] - one[0], other[1] - one[1], other[2] - one[2]
-    dz -= sides[0] * np.rint(dz / sides[0])
-    dy -= sides[1] * np.rint(dy / sides[1])
-    dx -= sides[2] * np.rint(dx / sides[2])
-    return dz, dy, dx
-
-
-@kernel
-def _find(places, reach, sides, cells, head, following, ends, pairs, start, stop):
-    """Count the neighbours of bodies start..stop into ends[1 + i]; where there are `pairs`, write
-    them from ends[i] on.
-    """
-    low, count = np.empty(3, np.int64), np.empty(3, np.int64)
-    for i in range(start, stop):
-        at = ends[i] if len(pairs) else 0
-        found = 0
-        for axis in range(3):
-            width = sides[axis] / cells[axis]
-            first = np.int64(np.floor((places[i, axis] - 2 * reach[i]) / width))
-            last = np.int64(np.floor((places[i, axis] + 2 * reach[i]) / width))
-            all_ = last - first + 1 > cells[axis]
-            low[axis] = 0 if all_ else first
-            count[axis] = cells[axis] if all_ else last - first + 1
-        for a in range(count[0]):
-            for b in range(count[1]):
-                for c in range(count[2]):
-                    cell = (low[0] + a) % cells[0]
-                    cell = cell * cells[1] + (low[1] + b) % cells[1]
-                    cell = cell * cells[2] + (low[2] + c) % cells[2]
-                    j = head[cell]
-                    while j >= 0:
-                        if reach[j] < reach[i] or (reach[j] == reach[i] and j < i):
-                            dz, dy, dx = _offset(places[i], places[j], sides)
-                            if dz * dz + dy * dy + dx * dx < (reach[i] + reach[j]) ** 2:
-                                if len(pairs):
-                                    pairs[at + found, 0] = i
-                                    pairs[at + found, 1] = j
-                                found += 1
-                        j = following[j]
-        if not len(pairs):
-            ends[i + 1] = found
-
-
 @kernel
 def _push(places, shapes, turns, radii, sides, pairs, separation, pushes, start, stop):
     """Write for pairs start..stop the move of the second body (3), and what the two lack of their
@@ -222,7 +137,7 @@ def _push(places, shapes, turns, radii, sides, pairs, separation, pushes, start,
     """
     for k in range(start, stop):
         i, j = pairs[k]
-        dz, dy, dx = _offset(places[i], places[j], sides)
+        dz, dy, dx = offset_between(places[i], places[j], sides)
         length = np.sqrt(dz * dz + dy * dy + dx * dx) + 1e-9
         one, two = turns[i], turns[j]
         wanted = separation * (
@@ -244,13 +159,3 @@ def _push(places, shapes, turns, radii, sides, pairs, separation, pushes, start,
         pushes[k, 1] = _PUSH * lack * dy / length
         pushes[k, 2] = _PUSH * lack * dx / length
         pushes[k, 3] = lack
-
-
-@kernel
-def _gather(pairs, pushes, moves):
-    """Add the pushes to the moves of both bodies of every pair, in their order."""
-    for k in range(len(pairs)):
-        i, j = pairs[k]
-        for axis in range(3):
-            moves[i, axis] -= pushes[k, axis]
-            moves[j, axis] += pushes[k, axis]

@@ -1,6 +1,4 @@
-"""Packed bodies as voxels: how deep every voxel lies in a body, edges rounded, and the phase's
-share of it.
-"""
+"""Packed bodies as voxels: how deep each lies in a body."""
 
 from __future__ import annotations
 
@@ -9,15 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from trabecula.engine.compile import kernel
-from trabecula.engine.parallel import for_slabs
-from trabecula.measure.smooth import gaussian, reach_of
 from trabecula.synth.packing.arrangement import Arrangement
 from trabecula.synth.packing.radial_shapes import radius_towards
-
-_MARKS = 1025  # shares whose depth is known, from 0 to 1
-
-REACH = 4.5
-"""Edges beyond a body's surface as far as its distance is drawn."""
+from trabecula.synth.shared.packed.depth import REACH, depth_field
 
 
 def draw_depth(
@@ -39,9 +31,6 @@ def draw_depth(
     -------
     depth : float32 array, (Z, Y, X)
     """
-    sigma = fillet / steps
-    margin = np.array([reach_of(float(width)) for width in sigma])
-    field = np.full(tuple(np.asarray(shape) + 2 * margin), -REACH, np.float32)
     reach = arrangement.radii.max(axis=1)[arrangement.shapes].astype(np.float64) + REACH
     given = (
         arrangement.places,
@@ -51,47 +40,10 @@ def draw_depth(
         arrangement.radii,
         arrangement.sides,
         steps,
-        margin,
     )
-    for_slabs(lambda a, b: _draw(*given, field, a, b), len(field))
-    if fillet:
-        np.clip(field, -REACH, REACH, out=field)
-        field = gaussian(field, sigma)
-    inner = tuple(slice(m, m + side) for m, side in zip(margin, shape, strict=True))
-    return field[inner]
-
-
-def deepest_share(depth: np.ndarray, share: float, inside: np.ndarray | None = None) -> np.ndarray:
-    """Return the voxels that lie deepest, (Z, Y, X) bool: this share of all, or of those `inside`;
-    of equally deep ones the first.
-    """
-    values = depth.ravel() if inside is None else depth[inside]
-    count = round(share * values.size)
-    if not 0 < count < values.size:
-        chosen = np.full(values.size, count > 0)
-    else:
-        least = np.partition(values, values.size - count)[values.size - count]
-        chosen = values > least
-        level = np.flatnonzero(values == least)
-        chosen[level[: count - int(np.count_nonzero(chosen))]] = True
-    if inside is None:
-        return chosen.reshape(depth.shape)
-    found = np.zeros(depth.shape, bool)
-    found[inside] = chosen
-    return found
-
-
-def deepest_by_share(
-    depth: np.ndarray, shares: np.ndarray, inside: np.ndarray | None = None
-) -> np.ndarray:
-    """Return the voxels that lie deeper than all but a share of them (or of those `inside`), which
-    is given for every voxel: (Z, Y, X) bool. Bodies grow where it is large.
-    """
-    values = depth.ravel() if inside is None else depth[inside]
-    marks = np.linspace(0, 1, _MARKS)
-    levels = np.quantile(values, 1 - marks)
-    found = depth > np.interp(shares, marks, levels)
-    return found if inside is None else found & inside
+    return depth_field(
+        lambda field, margin, a, b: _draw(*given, margin, field, a, b), shape, steps, fillet
+    )
 
 
 @kernel

@@ -1,5 +1,5 @@
-"""Which phase the bodies are, how far they overlap and how round their contacts are: tried on small
-packings, the figures of the scan (`shared.own_figures`) choosing.
+"""How far bodies overlap, and how round the edges are where they meet: tried on small packings, the
+figures of the scan (`shared.own_figures`) choosing.
 """
 
 from __future__ import annotations
@@ -8,20 +8,22 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.engine.parallel import map_items
-from trabecula.synth.packing.arrangement import Arrangement, arrange
-from trabecula.synth.packing.drawing import deepest_share, draw_depth
-from trabecula.synth.packing.scan_bodies import Bodies
 from trabecula.synth.shared.own_figures import Figure, OwnFigures
+from trabecula.synth.shared.packed.depth import deepest_share
 
 BOX = 96
 """Voxels of a trial and of the scan's centre along every axis, at most."""
 
-_SEPARATIONS, _FILLETS = (1.2, 1.1, 1.0, 0.95, 0.9, 0.85, 0.8), (0.0, 1.0, 2.0)
+SEPARATIONS = (1.2, 1.1, 1.0, 0.95, 0.9, 0.85, 0.8)
+"""Of bodies that are tried: from apart to overlapping."""
+
+_FILLETS = (0.0, 1.0, 2.0)
 _FINER = (0.5, 3.0), (0.25, 1.5)  # steps of fillets, and times the best score that are followed
 _MOST_FILLET = 3.0
 _KEPT = 32  # arrangements, each for packings of several fillets
@@ -48,55 +50,65 @@ class Packed:
     score: float | None
 
 
-def choose(
-    image: Image,
-    bodies: Bodies,
-    label: int,
-    *,
-    separation: float | None,
-    fillet: float | None,
-    any_way: bool,
-) -> Packed:
-    """Choose separation and fillet, where they are not given.
+class _Arranged(Protocol):
+    @property
+    def lacking(self) -> float: ...
 
-    Parameters
+
+A = TypeVar("A", bound=_Arranged)
+
+
+@dataclass(frozen=True)
+class Trial(Generic[A]):
+    """How small packings of a phase are made.
+
+    Attributes
     ----------
     image : Image
         The scan, of two phases.
-    bodies : Bodies
-        Of its phase `label`.
-    separation, fillet : float, optional
-        Settings that are given.
-    any_way : bool
-        Whether bodies are turned any way.
+    label : int
+        Of the bodies.
+    arrange : callable
+        Of the sides of a box in edges, a separation and a seed: bodies, and what they lack.
+    draw : callable
+        Of these, a shape, the edges of a voxel and a fillet: the depth of voxels.
     """
+
+    image: Image
+    label: int
+    arrange: Callable[[np.ndarray, float, int], A]
+    draw: Callable[[A, tuple[int, ...], np.ndarray, float], np.ndarray]
+
+
+def choose(
+    trial: Trial[A],
+    *,
+    separation: float | None,
+    fillet: float | None,
+    separations: tuple[float, ...] = SEPARATIONS,
+) -> Packed:
+    """Choose separation and fillet, where they are not given."""
+    image, label = trial.image, trial.label
     figures = OwnFigures.of(image, box=BOX)
     if figures is None or (separation is not None and fillet is not None):
         return Packed(separation or 1.0, 1.0 if fillet is None else fillet, None)
     steps = np.array(image.spacing) / min(image.spacing)
     shape = tuple(min(side, BOX) for side in image.shape)
     other = next(int(one) for one in np.unique(image.values) if one != label)
+    share = float(np.mean(image.values == label))
 
     @lru_cache(maxsize=_KEPT)
-    def pack(apart: float, seed: int) -> Arrangement:
-        return arrange(
-            bodies,
-            shape * steps,
-            separation=apart,
-            any_way=any_way,
-            density=bodies.density,
-            seed=seed,
-            quiet=True,
-        )
+    def pack(apart: float, seed: int) -> A:
+        return trial.arrange(np.asarray(shape * steps), apart, seed)
 
-    def trial(place: tuple[float, float, int]) -> float:
+    def score(place: tuple[float, float, int]) -> float:
         apart, rounding, seed = place
         packed = pack(apart, seed)
-        solid = deepest_share(draw_depth(packed, shape, steps, rounding), bodies.fraction)
+        solid = deepest_share(trial.draw(packed, shape, steps, rounding), share)
         values = np.where(solid, label, other).astype(np.uint8)
         return score_of(figures.compare(image, values)) + packed.lacking
 
-    return _search(trial, separation, fillet)
+    return search(score, separations if separation is None else (separation,), fillet)
 
 
 def score_of(figures: dict[str, Figure]) -> float:
@@ -105,17 +117,16 @@ def score_of(figures: dict[str, Figure]) -> float:
     return float(np.sqrt(np.mean(np.square(off)))) if off else _FAR
 
 
-def _search(
+def search(
     trial: Callable[[tuple[float, float, int]], float],
-    separation: float | None,
+    apart: tuple[float, ...],
     fillet: float | None,
 ) -> Packed:
-    """Try a grid; of the separations that are not far behind the best, fillets between those of the
-    grid, in ever smaller steps; and the best few again.
+    """Try separations and fillets on a grid; of the separations that are not far behind the best,
+    fillets between those of the grid, in ever smaller steps; and the best few again.
 
     Larger fillets make up for larger separations, so that the best lie along a narrow valley.
     """
-    apart = _SEPARATIONS if separation is None else (separation,)
     roundings = _FILLETS if fillet is None else (fillet,)
     scores: dict[tuple[float, float], list[float]] = {}
 

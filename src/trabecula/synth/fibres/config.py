@@ -1,0 +1,45 @@
+"""Settings of `fibres`: the only home of its defaults."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from trabecula.core.checks import as_number
+from trabecula.core.errors import InputError
+from trabecula.synth.shared.settings import keep_numbers
+
+_LIMITS = {"separation": (0.0, 1.5), "fillet": (0.0, 4.0), "bend": (0.0, 1.0)}
+
+
+@dataclass(frozen=True)
+class FibresConfig:
+    """Settings of `fibres`. Lengths are in the smallest edge of a voxel."""
+
+    phase: str | None = None
+    """Phase of the fibres. None: the one that is more clearly drawn out along lines."""
+
+    separation: float | None = None
+    """Distance to which two fibres push each other apart, over the sum of their radii, 0 .. 1.5. 0:
+    they run through each other; 1: they touch. None: the one whose fibres are nearest to the scan.
+    """
+
+    fillet: float | None = None
+    """Standard deviation of the Gaussian that rounds the edges where fibres meet, voxels, 0 .. 4.
+    None: the one whose fibres are nearest to the scan."""
+
+    bend: float | None = None
+    """How far a fibre wanders from its mean direction, 0 .. 1: the standard deviation of what is
+    added to that unit vector across. None: the one whose fibres are nearest to the scan."""
+
+    length: float = 1.0
+    """Of a fibre, over the longest side of the box that repeats, 0.1 .. 10. At 1 a fibre along an
+    axis meets its own end."""
+
+    def __post_init__(self) -> None:
+        keep_numbers(self, {"length": (0.1, 10)})
+        if self.phase is not None and not isinstance(self.phase, str):
+            raise InputError(f"phase={self.phase!r} should be the name of a phase")
+        for name, (low, high) in _LIMITS.items():
+            if getattr(self, name) is not None:
+                value = float(as_number(getattr(self, name), name=name, low=low, high=high))
+                object.__setattr__(self, name, value)

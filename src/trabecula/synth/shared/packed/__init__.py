@@ -1,0 +1,1 @@
+"""Bodies in a box that repeats, pushed apart and drawn: what packing and fibres share."""
