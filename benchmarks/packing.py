@@ -1,8 +1,9 @@
-"""`packing` beside `texture`: materials of bodies by their process, and scans."""
+"""`packing` and `fibres` beside `texture`: materials by their process, and scans."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -14,41 +15,37 @@ from trabecula.core.errors import InputError
 
 SEEDS = (1, 2, 3)
 SIDE = 96
-MADE = ("cemented grains", "beads", "suspension")
-SCANS = (
-    "soil, Otsu",
-    "cement, Otsu",
-    "NMC",
-    "Berea",
-    "cathode, coarse",
-    "grey bone, Otsu",
-    "bone a",
-    "sample foam",
-)
+GRAINS = ("cemented grains", "beads", "suspension", "soil, Otsu", "cement, Otsu", "NMC", "Berea")
+NO_GRAINS = ("cathode, coarse", "grey bone, Otsu", "bone a", "sample foam")
+FIBRES = ("fibres", "polymer fibres, Otsu", "weave, Otsu")
 NAMES = ("shape", "S2 cov", "thickness", "Euler", "pore size", "coh(4)")
 
 
 def packing() -> None:
-    """120^3 from 96^3: figures of `verify`, `!` out of band, by `texture` and by `packing`; the
-    phase, separation and fillet that trials chose, and seconds of learning and making.
+    """120^3 from 96^3 of grains and others: figures of `verify`, `!` out of band, by `texture` and
+    by `packing`; the phase, separation and fillet that trials chose, and seconds of learning.
     """
+    _beside("packing", (*GRAINS, *NO_GRAINS))
+
+
+def fibres() -> None:
+    """The same of fibres by `fibres`, with the bend that trials chose."""
+    _beside("fibres", FIBRES)
+
+
+def _beside(other: str, names: Sequence[str]) -> None:
+    """Print rows of `texture` and another method."""
     row = table("material, what", "out", "of", *NAMES, "CPU s", wide=34)
-    for name, exemplar in _materials():
+    for name, exemplar in _materials(names):
         reference = reference_of(exemplar)
-        for method in ("texture", "packing"):
+        for method in ("texture", other):
             try:
                 learning, model = busy(lambda m=method, e=exemplar: tb.method(m).fit(e))
             except InputError as error:
                 print(f"    {name}, {method}: {error}")
                 continue
-            if method == "packing":
-                phase = exemplar.phases[model.label]
-                print(
-                    f"    {phase}, separation {model.packed.separation:g}, fillet "
-                    f"{model.packed.fillet:g}; {len(model.bodies.weights)} whole bodies, misfit "
-                    f"{model.bodies.misfit:.3f}, score {model.packed.score:.2f}; learnt in "
-                    f"{learning:.1f} s"
-                )
+            if method == other:
+                print(f"    {_chosen(model)}; learnt in {learning:.1f} s", flush=True)
             for seed in SEEDS:
                 seconds, made = busy(lambda m=model, s=seed: m.generate(120, seed=s))
                 metrics = judged(reference, made)
@@ -57,14 +54,27 @@ def packing() -> None:
                 row(f"{name}, {method}, {seed}", *told)
 
 
-def _materials() -> Iterator[tuple[str, tb.Image]]:
+def _chosen(model: Any) -> str:
+    """What trials chose, and how sure it is that there are bodies or fibres."""
+    packed = model.packed
+    words = (
+        f"{model.facts[0].phases[model.label]}, separation {packed.separation:g}, fillet "
+        f"{packed.fillet:g}, score {packed.score:.2f}"
+    )
+    if hasattr(model, "bodies"):
+        own = model.bodies
+        return f"{words}; {len(own.weights)} whole bodies, misfit {own.misfit:.3f}"
+    own = model.strands
+    radius = float(own.weights @ own.radii)
+    return f"{words}, bend {model.bend:g}; radius {radius:.2f}, clarity {own.clarity:.2f}"
+
+
+def _materials(names: Sequence[str]) -> Iterator[tuple[str, tb.Image]]:
     """Yield exemplars of two phases of 96^3 at most."""
-    chosen = asked("ONLY") or (*MADE, *SCANS)
-    for name in MADE:
-        if name in chosen:
+    there = wholes()
+    for name in asked("ONLY") or names:
+        if name in FORMS:
             whole = FORMS[name](np.random.default_rng(0)).astype(np.uint8)
             yield name, tb.Image(np.ascontiguousarray(ends(whole)[0]), "labels")
-    there = wholes()
-    for name in SCANS:
-        if name in chosen and name in there:
+        elif name in there:
             yield name, tb.crop(there[name], min(SIDE, *there[name].shape))

@@ -114,6 +114,7 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_joints": joints.texture_joints,
     "texture_forms": forms.texture_forms,
     "packing": packing.packing,
+    "fibres": packing.fibres,
     "by_example_2017": by_example.by_example_2017,
     "by_example_2021": by_example.by_example_2021,
     "evenness": evenness.evenness_table,

@@ -68,6 +68,25 @@ def test_another_method_is_tried_beside_the_settings(bone, monkeypatch):
     assert len(made) == 2
 
 
+def test_of_equally_many_figures_out_of_band_the_nearer_material_is_taken(bone, monkeypatch):
+    def verdicts(exemplar, *images):
+        found = []
+        for value in (1.3, 1.1, 9.0):
+            figures = {
+                "thickness": Metric(value, (0.8, 1.5), passed=True, exemplar=1.0),
+                "percolates": Metric([True] * 3, passed=True),
+                "euler": Metric(float("inf"), (0.0, 1.0), passed=True, exemplar=0.0),
+            }
+            found.append(Certificate(figures))
+        return found
+
+    monkeypatch.setattr(choosing, "verify", verdicts)
+    chosen, made = tb.choose_settings(tb.method("texture", tries=1), bone)
+    assert [round(trial.apart, 6) for trial in made] == [0.6, 0.2, 3.0]
+    assert chosen.config.search == "leaves"
+    assert str(made[1]).endswith("0 of 3 figures out of band; all 0.20 of their bands off")
+
+
 def test_a_method_that_cannot_learn_is_left_out_with_a_line(bone, monkeypatch):
     judge(monkeypatch, [1])
     told = []

@@ -91,7 +91,7 @@ def tried(method: Any, exemplars: list[Any] | None, options: argparse.Namespace)
     for trial in trials:
         note(str(trial))
     if trials:
-        note(f"taken: {min(trials, key=lambda trial: len(trial.outside)).named}")
+        note(f"taken: {min(trials, key=lambda trial: trial.rank).named}")
     return chosen
 
 

@@ -6,7 +6,8 @@ make every result alike, where the material itself differs from place to place.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,6 +16,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.core.progress import notify
 from trabecula.report.certificate import verify
+from trabecula.report.metrics import Metric
 from trabecula.synth.api.method import Method
 
 MOST = 3
@@ -23,6 +25,7 @@ MOST = 3
 _SIDE = 96  # voxels of a trial along every axis, at most
 _SEED = 0
 _NAMED = 6  # figures that a line lists
+_FAR = 3.0  # bands: a figure that is farther off counts as so much
 
 
 @dataclass(frozen=True)
@@ -38,11 +41,14 @@ class Trial:
         Figures outside the band of the real material.
     decided : int
         Figures that have a band.
+    apart : float
+        How far figures are from the exemplar's, root mean square: 1 at the ends of their bands.
     """
 
     settings: Mapping[str, Any]
     outside: tuple[str, ...]
     decided: int
+    apart: float = 0.0
 
     @property
     def named(self) -> str:
@@ -50,9 +56,15 @@ class Trial:
         changed = ", ".join(f"{name}={value}" for name, value in self.settings.items())
         return changed or "the settings as they are"
 
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Return what the best trial has least of: figures out of band, and how far all are off."""
+        return len(self.outside), self.apart
+
     def __str__(self) -> str:
         """Return the trial in a line."""
-        return f"{self.named}: {band_line(self.outside, self.decided)}"
+        apart = f"; all {self.apart:.2f} of their bands off" if self.apart else ""
+        return f"{self.named}: {band_line(self.outside, self.decided)}{apart}"
 
 
 def band_line(outside: Sequence[str], decided: int) -> str:
@@ -74,8 +86,8 @@ def choose_settings(
 
     Material of the exemplar's size (96 voxels a side at most) is made with the settings as they
     are, with the method's own alternatives to them, and by the others, one seed each; all are
-    verified. What has the fewest figures out of band is kept, the first of equals. A setting that
-    is not at its default stays as it is.
+    verified. What has the fewest figures out of band is kept; of equals what is nearer to the
+    exemplar. A setting that is not at its default stays as it is.
 
     Parameters
     ----------
@@ -128,11 +140,21 @@ def choose_settings(
             settings,
             tuple(name for name, metric in judged.metrics.items() if metric.passed is False),
             sum(metric.passed is not None for metric in judged.metrics.values()),
+            _apart(judged.metrics.values()),
         )
         for (_, settings), judged in zip(kept, verify(exemplar, *made), strict=True)
     )
-    best = min(range(len(trials)), key=lambda at: len(trials[at].outside))
+    best = min(range(len(trials)), key=lambda at: trials[at].rank)
     return kept[best][0], trials
+
+
+def _apart(metrics: Iterable[Metric]) -> float:
+    """Return how far judged figures are from the exemplar's, root mean square, each at most `_FAR`
+    times its band.
+    """
+    found = [metric.apart for metric in metrics if metric.passed is not None]
+    numbers = [min(one, _FAR) for one in found if one is not None]
+    return math.sqrt(sum(one**2 for one in numbers) / len(numbers)) if numbers else 0.0
 
 
 def _has_alternatives(method: Method) -> bool:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any
 
 from trabecula.measure.registry import DESCRIPTORS, GROUPS, REPORTED, Descriptor
@@ -32,6 +34,18 @@ class Metric:
     """
     symmetry: str | None = None
     """Of `turned_copies`: how the exemplar was mirrored or turned, in words."""
+
+    @property
+    def apart(self) -> float | None:
+        """Return how far it is from the exemplar's, in units of its band's farther end from that: 1
+        at the end; None where there are no such numbers.
+        """
+        numbers = (self.value, self.exemplar, *(self.real_band or (None,)))
+        if not all(isinstance(one, Real) and math.isfinite(one) for one in numbers):
+            return None
+        value, own, low, high = map(float, numbers)
+        width = max(high - own, own - low)
+        return abs(value - own) / width if width > 0 else None
 
     def to_json(self) -> dict[str, Any]:
         """Return value, band and verdict by the names that scripts rely on."""

@@ -377,7 +377,10 @@ class TextureModel(Model):
         by_sweeps = self.top and not is_sliced(self.config.layout)
         if not (shapes and by_sweeps and self.config.search == "coherent"):
             return ""
-        return "; shapes may come nearer with search=leaves (--effort 2 tries it)"
+        return (
+            "; shapes may come nearer with search=leaves (--effort 2 tries it), those of grains by "
+            "--method packing, of fibres by --method fibres"
+        )
 
     def _compare(self, values: np.ndarray, request: Request) -> dict[str, Figure]:
         """Return cheap figures of a result over those of the exemplar; none where the result is to
