@@ -333,7 +333,7 @@ def test_plan_tells_and_makes_nothing(place):
 
 @pytest.mark.whole
 def test_plan_says_nothing_of_the_volumes_that_it_tries(place, monkeypatch):
-    monkeypatch.setattr("trabecula.synth.texture.method.off_line", lambda figures: "everything")
+    monkeypatch.setattr("trabecula.synth.shared.own_figures.off_line", lambda figures: "everything")
     words = ("sample:bone", "--method", "texture", "--shape", 40)
     assert "own spread: everything" in trabecula("generate", *words, "--out", "new.npy").err
     assert "own spread" not in trabecula("plan", *words).err

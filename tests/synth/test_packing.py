@@ -18,7 +18,7 @@ from trabecula.synth.packing.radial_shapes import (
     radius_towards,
     table_directions,
 )
-from trabecula.synth.packing.scan_bodies import Bodies, find_bodies
+from trabecula.synth.packing.scan_bodies import ScanBodies, find_bodies
 from trabecula.synth.shared.packed.depth import deepest_by_share, deepest_share
 from trabecula.synth.shared.packed.neighbours import neighbour_pairs
 from trabecula.synth.shared.packed.trials import SEPARATIONS, search
@@ -40,7 +40,7 @@ def bodies_of(*radii, density=1e-3, lie=False):
     """Return bodies that are balls of these radii, each as frequent."""
     tables = np.stack([np.full(SIZE, radius, np.float32) for radius in radii])
     weights = np.full(len(radii), 1 / len(radii))
-    return Bodies(tables, weights, density, 0.3, 0.0, lie)
+    return ScanBodies(tables, weights, density, 0.3, 0.0, lie)
 
 
 def packed(bodies, side, seed=0, **settings):

@@ -17,7 +17,7 @@ from trabecula.synth.fibres.config import FibresConfig
 from trabecula.synth.fibres.laying import Laid, draw_fibres, lay
 from trabecula.synth.fibres.strands import Strands, find_strands
 from trabecula.synth.shared.packed.method import PackedMethod, PackedModel
-from trabecula.synth.shared.packed.trials import Packed, Trial, choose
+from trabecula.synth.shared.packed.trials import Packed, SmallPackings, choose
 
 _CLEAR = 0.3
 """Clarity of what are fibres, at least: of polymer fibres and bundles .4, of the struts of a foam
@@ -98,7 +98,7 @@ class Fibres(PackedMethod):
             )
 
         return choose(
-            Trial(image, label, pack, draw_fibres),
+            SmallPackings(image, label, pack, draw_fibres),
             separation=self.config.separation,
             fillet=self.config.fillet,
             separations=separations,

@@ -19,7 +19,7 @@ from trabecula.core.seeds import generator
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_items
 from trabecula.synth.packing.radial_shapes import radius_towards
-from trabecula.synth.packing.scan_bodies import Bodies
+from trabecula.synth.packing.scan_bodies import ScanBodies
 from trabecula.synth.shared.packed.drawn import drawn_evenly
 from trabecula.synth.shared.packed.neighbours import add_pushes, neighbour_pairs, offset_between
 
@@ -60,7 +60,7 @@ class Arrangement:
 
 
 def arrange(
-    bodies: Bodies,
+    bodies: ScanBodies,
     sides: Sequence[float] | np.ndarray,
     *,
     separation: float,
@@ -73,7 +73,7 @@ def arrange(
 
     Parameters
     ----------
-    bodies : Bodies
+    bodies : ScanBodies
     sides : three floats
         Of the box, edges.
     separation : float

@@ -19,9 +19,9 @@ from trabecula.synth.packing.arrangement import Arrangement, arrange
 from trabecula.synth.packing.config import PackingConfig
 from trabecula.synth.packing.drawing import draw_depth
 from trabecula.synth.packing.radial_shapes import SIZE
-from trabecula.synth.packing.scan_bodies import LEAST, Bodies, find_bodies
+from trabecula.synth.packing.scan_bodies import LEAST, ScanBodies, find_bodies
 from trabecula.synth.shared.packed.method import PackedMethod, PackedModel
-from trabecula.synth.shared.packed.trials import Packed, Trial, choose
+from trabecula.synth.shared.packed.trials import Packed, SmallPackings, choose
 
 _ROUND = 0.12
 """What surfaces may be off the radii of bodies, over their size: materials that are no bodies have
@@ -45,7 +45,7 @@ class Packing(PackedMethod):
         label, bodies, packed = self._chosen(exemplars[0])
         return PackingModel(self.config, exemplars, label, bodies, packed)
 
-    def _chosen(self, image: Image) -> tuple[int, Bodies, Packed]:
+    def _chosen(self, image: Image) -> tuple[int, ScanBodies, Packed]:
         """Return the phase of the bodies, these, and how they are packed."""
         labels = self._phases(image)
         found = {label: find_bodies(image, label, self.config.degree) for label in labels}
@@ -66,7 +66,7 @@ class Packing(PackedMethod):
         self._say_score(tried[best], image.phases[best])
         return best, whole[best], tried[best]
 
-    def _tried(self, image: Image, label: int, bodies: Bodies) -> Packed:
+    def _tried(self, image: Image, label: int, bodies: ScanBodies) -> Packed:
         """Return how the bodies of a phase are packed."""
         any_way = is_any_way(self.config, bodies)
 
@@ -81,10 +81,10 @@ class Packing(PackedMethod):
                 quiet=True,
             )
 
-        trial = Trial(image, label, pack, draw_depth)
+        trial = SmallPackings(image, label, pack, draw_depth)
         return choose(trial, separation=self.config.separation, fillet=self.config.fillet)
 
-    def _advice(self, found: Mapping[int, Bodies | None]) -> str:
+    def _advice(self, found: Mapping[int, ScanBodies | None]) -> str:
         """Return what to do where there are no bodies."""
         if self.config.phase is None and any(one is not None for one in found.values()):
             return "its phases are no bodies; use --method texture, or name phase="
@@ -97,7 +97,7 @@ class Packing(PackedMethod):
         if radii.ndim != 2 or radii.shape[1] != SIZE or weights.shape != radii.shape[:1]:
             raise ValueError("these are no bodies")
         label, packed = int(plain.pop("label")), Packed(**plain.pop("packed"))
-        bodies = Bodies(radii=radii, weights=weights, **plain)
+        bodies = ScanBodies(radii=radii, weights=weights, **plain)
         return PackingModel(self.config, exemplars, label, bodies, packed)
 
 
@@ -112,7 +112,7 @@ class PackingModel(PackedModel):
         config: PackingConfig,
         exemplars: Sequence[Image],
         label: int,
-        bodies: Bodies,
+        bodies: ScanBodies,
         packed: Packed,
     ) -> None:
         super().__init__(config, exemplars)
@@ -149,6 +149,6 @@ class PackingModel(PackedModel):
         return _BODY * self.bodies.density * float(np.prod(sides))
 
 
-def is_any_way(config: PackingConfig, bodies: Bodies) -> bool:
+def is_any_way(config: PackingConfig, bodies: ScanBodies) -> bool:
     """Return whether bodies are turned any way."""
     return config.turns == "any" or (config.turns == "auto" and not bodies.lie)

@@ -18,7 +18,7 @@ _LONGER, _SURE = 0.1, 4.0  # bodies lie: so much longer along an axis, by so man
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies:
+class ScanBodies:
     """Bodies that no face of the scan cuts; N bodies. Lengths are in the smallest voxel edge.
 
     Attributes
@@ -47,7 +47,7 @@ class Bodies:
     lie: bool
 
 
-def find_bodies(image: Image, label: int, degree: int) -> Bodies | None:
+def find_bodies(image: Image, label: int, degree: int) -> ScanBodies | None:
     """Return the bodies of a phase; None where fewer than `LEAST` are whole.
 
     Touching bodies are cut apart at their necks (`measure.bodies`).
@@ -59,7 +59,7 @@ def find_bodies(image: Image, label: int, degree: int) -> Bodies | None:
     if whole.sum() < LEAST:
         return None
     numbers = np.flatnonzero(whole)
-    faces = _Faces.of(cut)
+    faces = _BodyFaces.of(cut)
     radii, misfits = [], []
     for number in numbers:
         offsets, contact = faces.around(number, shapes.centroid[number])
@@ -75,7 +75,7 @@ def find_bodies(image: Image, label: int, degree: int) -> Bodies | None:
     volumes = shapes.volume[numbers]
     fraction = float(inside.mean())
     by_volume = weights * volumes
-    return Bodies(
+    return ScanBodies(
         radii=np.stack(radii),
         weights=weights,
         density=fraction / float(by_volume.sum()),
@@ -123,7 +123,7 @@ def _lie(covariance: np.ndarray) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class _Faces:
+class _BodyFaces:
     """Faces of voxels around regions, sorted by region: places in edges, and whether another region
     is beyond.
     """
@@ -133,7 +133,7 @@ class _Faces:
     contact: np.ndarray
 
     @classmethod
-    def of(cls, cut: Partition) -> _Faces:
+    def of(cls, cut: Partition) -> _BodyFaces:
         owners, places, contacts = [], [], []
         for axis in range(3):
             low = np.take(cut.labels, range(cut.labels.shape[axis] - 1), axis)

@@ -29,6 +29,7 @@ from trabecula.synth.shared.packed.trials import BOX, Packed
 _POOR = 3.0  # spreads: from there on a line says that figures are far off
 _PROCESS = 200 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _VOXEL = 14  # bytes of a voxel and its share of the margin while a depth is drawn and cut
+_CURVES = 256 << 10  # bytes of what figures are held against
 _FIELD = 8  # bytes of a voxel more with a target field or a mask
 
 
@@ -160,12 +161,14 @@ class PackedModel(Model):
         return {"figures": {name: one.to_json() for name, one in figures.items()}}
 
     def _figure_bytes(self, request: Request) -> int:
-        """Return the bytes that it takes to tell what is off, with a copy of what is told of."""
+        """Return the bytes that it takes to say what is off, with a copy of the part that is
+        measured.
+        """
         if request.asks_for() - {"periodic"}:
             return 0
         stages = figure_stages(request.shape, self.exemplars[0].shape, box=BOX)
         copy = prod(min(side, BOX) for side in request.shape)
-        return copy + sum(stage.working for stage in stages)
+        return _CURVES + copy + sum(stage.working for stage in stages)
 
     @cached_property
     def _figures(self) -> OwnFigures | None:

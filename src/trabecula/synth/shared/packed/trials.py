@@ -59,7 +59,7 @@ A = TypeVar("A", bound=_Arranged)
 
 
 @dataclass(frozen=True)
-class Trial(Generic[A]):
+class SmallPackings(Generic[A]):
     """How small packings of a phase are made.
 
     Attributes
@@ -81,7 +81,7 @@ class Trial(Generic[A]):
 
 
 def choose(
-    trial: Trial[A],
+    trial: SmallPackings[A],
     *,
     separation: float | None,
     fillet: float | None,
