@@ -121,6 +121,32 @@ def test_a_micrograph_works_at_once():
     assert trabecula("rerun", "more.zarr").sha256 == made.sha256
 
 
+@pytest.fixture(scope="module")
+def beads(folder):
+    """A scan of separate balls of several sizes."""
+    draw, values = np.random.default_rng(3), np.zeros((60, 60, 60), np.uint8)
+    at, centres = np.stack(np.indices(values.shape), -1), np.zeros((0, 3))
+    for centre in draw.uniform(0, 60, (900, 3)):
+        if len(centres) == 0 or ((centres - centre) ** 2).sum(-1).min() > 11**2:
+            centres = np.vstack([centres, centre])
+            values[((at - centre) ** 2).sum(-1) < draw.uniform(3.5, 5) ** 2] = 1
+    tb.write(tb.Image(values, "labels"), folder / "beads.tif")
+    return values
+
+
+def test_separate_balls_are_packed_unless_packing_cannot_make_what_is_asked_for(beads):
+    made = trabecula("generate", "beads.tif", "--shape", 40, "--seed", 1, "--out", "packed.zarr")
+    assert choice(made) == ["trabecula: method packing"]
+    assert method_of("packed.zarr")["method"] == "packing"
+    options = ("--fixed", "beads.tif", "--at", "0", "0", "0", "--shape", "60", "60", "66")
+    beside = trabecula("generate", "beads.tif", *options, "--out", "beside.zarr")
+    assert choice(beside) == ["trabecula: method texture"]
+    assert "packing would be taken, and makes nothing beside known voxels" in beside.err
+    assert (tb.read("beside.zarr").values[:, :, :60] == beads).all()
+    large = attempt("plan", "beads.tif", "--shape", 900, "--memory", 2)
+    assert choice(large) == ["trabecula: method texture"]
+
+
 @pytest.mark.whole
 def test_a_volume_stays_texture():
     made = trabecula("generate", "scan.tif", "--shape", 16, "--out", "volume.zarr")

@@ -167,7 +167,7 @@ def prepare(options: argparse.Namespace) -> GenerateTask:
     exemplars = [shared.load_exemplar(source, options) for source in options.exemplars] or None
     recommended = ""
     if exemplars and chosen is None:
-        chosen, recommended = method_for(exemplars, options)
+        chosen, recommended = method_for(exemplars, options, shape)
     elif exemplars:
         check_fits(chosen, exemplars)
     voxel = _voxel(options) if chosen and exemplars is None else {}

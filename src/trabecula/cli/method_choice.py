@@ -5,18 +5,24 @@ it.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from trabecula.cli import options as shared
 from trabecula.core.errors import InputError
 
+_VOXEL = 20  # bytes of a voxel of a method that makes its results in memory
+
 _FOR_TWO_PHASES = ("texture", "packing", "fibres")
 """Methods that an effort tries for a volume of two phases where none is named."""
 
 
-def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, str]:
+def method_for(
+    exemplars: list[Any], options: argparse.Namespace, shape: Sequence[int] | None = None
+) -> tuple[Any, str]:
     """Return the method that `inspect` recommends, and a line that reports it, empty where there is
-    nothing to report.
+    nothing to report; `texture` where that one cannot make what is asked for of a volume.
 
     Its preset is taken where neither a preset nor settings are given. With these a volume is learnt
     by `texture`: so they were meant before there was a choice.
@@ -34,16 +40,41 @@ def method_for(exemplars: list[Any], options: argparse.Namespace) -> tuple[Any, 
     plain = preset is None and not settings
     if not plain and exemplars[0].ndim == 3:
         return method("texture", preset=preset, **settings), ""
-    found = recommend(
-        crop_margins(exemplars[0]), graded=_graded(options), alone=len(exemplars) == 1
-    )
+    graded = _graded(options)
+    found = recommend(crop_margins(exemplars[0]), graded=graded, alone=len(exemplars) == 1)
     if found.method is None:
         raise InputError(f"no method was named, and none fits: {found.reason}")
+    name = found.method
+    if exemplars[0].ndim == 3 and not graded and (why := _hindrance(name, options, shape)):
+        name = "texture"
+        found = replace(
+            found,
+            method=name,
+            preset=None,
+            settings={},
+            reason=f"{found.method} would be taken, and {why}",
+        )
     chosen = ""
     if plain:
         preset, settings, chosen = found.preset, dict(found.settings), found.words
-    line = f"method {found.method}{chosen} (recommended: {found.reason})"
-    return method(found.method, preset=preset, **settings), line
+    line = f"method {name}{chosen} (recommended: {found.reason})"
+    return method(name, preset=preset, **settings), line
+
+
+def _hindrance(name: str, options: argparse.Namespace, shape: Sequence[int] | None) -> str:
+    """Return why a method cannot make what is asked for; empty where it can."""
+    from math import prod
+
+    from trabecula.engine.memory import available_memory
+    from trabecula.synth.api.registry import methods
+
+    known = methods()[name]
+    if getattr(options, "fixed", None) is not None and "fixed" not in known.honours:
+        return "makes nothing beside known voxels"
+    budget = available_memory() if options.memory is None else options.memory
+    if known.large == "memory" and _VOXEL * prod(shape or (0,)) > budget:
+        return "the result is too large for it to be made in memory"
+    return ""
 
 
 def _graded(options: argparse.Namespace) -> list[str]:
