@@ -79,6 +79,16 @@ def test_noise_of_voxels_is_no_difference_between_fibres_and_two_sizes_are():
     assert two.weights[two.radii < 3].sum() == pytest.approx(0.5, abs=0.15)
 
 
+def test_two_sizes_differ_along_the_longer_edges_of_voxels_too():
+    at = np.stack(np.indices((40, 72, 72)), -1) * (3.0, 1.0, 1.0)
+    inside = np.zeros(at.shape[:3], bool)
+    for number, (y, x) in enumerate(np.ndindex(3, 3)):
+        off = at[..., 1:] - (12 + 24 * y, 12 + 24 * x)
+        inside |= (off**2).sum(-1) < (8.0 if number % 2 else 4.0) ** 2
+    image = tb.Image(inside.astype(np.uint8), "labels", spacing=(3.0, 1.0, 1.0))
+    assert find_strands(image, 1).radii.std() > 1
+
+
 def test_as_much_is_laid_as_is_asked_for_in_chains_of_even_steps():
     strands = strands_of(2.0, 3.0, directions=np.eye(3), fraction=0.15)
     made = laid_of(strands, side=80, separation=0.8)

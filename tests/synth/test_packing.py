@@ -273,6 +273,15 @@ def test_trials_find_that_beads_touch_with_sharp_edges(beads):
     assert found.score < 2
 
 
+def test_an_exemplar_too_small_for_trials_has_touching_bodies_and_says_so(beads):
+    told = []
+    small = tb.Image(np.ascontiguousarray(beads.values[:30]), "labels")
+    with tb.progress(lambda label, fraction: told.append(label)):
+        found = tb.method("packing", phase="solid", fillet=0.0).fit(small).packed
+    assert (found.separation, found.fillet, found.score) == (1.0, 0.0, None)
+    assert any("too small to try" in line for line in told)
+
+
 def test_what_is_packed_has_the_shapes_of_beads_and_their_fraction(beads):
     model = tb.method("packing", separation=1.0, fillet=0.0).fit(beads)
     assert model.label == 1

@@ -67,7 +67,7 @@ def find_strands(image: Image, label: int) -> Strands:
     draw = generator(0, "fibres/places")
     places = rooms[draw.choice(len(rooms), min(_PLACES, len(rooms)), replace=False)]
     along, clear = _directions(tensor, places)
-    share = _common(diameter, tensor, places, along, 8 * mean)
+    share = _common(diameter, tensor, places, along, edges / edges.min(), 8 * mean)
     half = np.quantile(diameter[inside], (np.arange(_RADII) + 0.5) / _RADII) / 2
     radii = np.maximum(mean + np.sqrt(share) * (half - mean) + _FINER, _THINNEST)
     clearer = np.rint(along[clear >= np.quantile(clear, _CLEARER)] * _STEADY)
@@ -88,14 +88,21 @@ def _directions(tensor: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _common(
-    diameter: np.ndarray, tensor: np.ndarray, places: np.ndarray, ways: np.ndarray, far: float
+    diameter: np.ndarray,
+    tensor: np.ndarray,
+    places: np.ndarray,
+    ways: np.ndarray,
+    steps: np.ndarray,
+    far: float,
 ) -> float:
-    """Return the correlation, 0 at least, of the local thickness at places with that at others so
-    many voxels along their fibres; 0 of fewer than 30 that do not leave these or the scan.
+    """Return the correlation, 0 at least, of the local thickness at places (voxels) with that at
+    others so many edges along their fibres; 0 of fewer than 30 that do not leave these or the scan.
+
+    Voxels have edges `steps`.
     """
     at, own = places.astype(np.float64), diameter[tuple(places.T)]
     for _ in range(max(1, round(far))):
-        at = at + ways
+        at = at + ways / steps
         inner = ((at >= _RIM) & (at <= np.array(diameter.shape) - 1 - _RIM)).all(axis=1)
         at, ways, own = at[inner], ways[inner], own[inner]
         voxels = np.rint(at).astype(np.int64)
@@ -107,11 +114,8 @@ def _common(
         ways = found * np.where((found * ways).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
     other = diameter[tuple(voxels.T)]
     spread = float(own.std() * other.std())
-    return (
-        max(0.0, float(np.mean((own - own.mean()) * (other - other.mean()))) / spread)
-        if spread
-        else 0.0
-    )
+    together = float(np.mean((own - own.mean()) * (other - other.mean())))
+    return max(0.0, together / spread) if spread else 0.0
 
 
 def _without_rim(inside: np.ndarray) -> np.ndarray:

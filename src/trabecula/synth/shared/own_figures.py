@@ -29,7 +29,9 @@ its time.
 SHAPES = "shape index"
 """What the names of figures of shapes begin with."""
 
-_LEAST = 32  # voxels of exemplar and result along every axis, to be measured
+LEAST = 32
+"""Voxels of exemplar and result along every axis, to be measured."""
+
 _BYTES = 24  # of a voxel of a box, at most, while it is measured
 _REACH = 20  # voxels: the largest distance of the two-point function
 _FAR, _NEAR = 3.0, 0.05  # off: beyond so many spreads, and by more than that
@@ -97,7 +99,7 @@ class OwnFigures:
     @classmethod
     def of(cls, exemplar: Image, *, box: int) -> OwnFigures | None:
         """Measure an exemplar of labels; None where it is too small."""
-        if min(exemplar.shape) < _LEAST:
+        if min(exemplar.shape) < LEAST:
             return None
         middle = _middle(exemplar, box, exemplar.values)
         parts = [_part(middle, corner) for corner in product((0, 1), repeat=3)]
@@ -116,7 +118,7 @@ class OwnFigures:
         """Return the figures of the values of a result by name; empty where it is too small, and
         without those that say nothing. No more of them than their centre is read.
         """
-        if min(values.shape) < _LEAST:
+        if min(values.shape) < LEAST:
             return {}
         middle = _middle(exemplar, self.box, values)
         scale = math.sqrt((1 + self.size / middle.values.size) / 8)
@@ -154,7 +156,7 @@ def tell_off(figures: Mapping[str, Figure], advice: str = "") -> None:
 
 def figure_stages(shape: Sequence[int], exemplar: Sequence[int], *, box: int) -> tuple[Stage, ...]:
     """Declare the comparison of a result with its exemplar, the exemplar's own figures among it."""
-    if min(*shape, *exemplar) < _LEAST:
+    if min(*shape, *exemplar) < LEAST:
         return ()
     most = max(math.prod(min(side, box) for side in sides) for sides in (shape, exemplar))
     return (Stage("compare", {"result": Array(shape, np.uint8)}, _BYTES * most),)

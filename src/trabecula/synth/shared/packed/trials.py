@@ -13,8 +13,9 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.core.progress import notify
 from trabecula.engine.parallel import map_items
-from trabecula.synth.shared.own_figures import Figure, OwnFigures
+from trabecula.synth.shared.own_figures import LEAST, Figure, OwnFigures
 from trabecula.synth.shared.packed.depth import deepest_share
 
 BOX = 96
@@ -89,9 +90,16 @@ def choose(
 ) -> Packed:
     """Choose separation and fillet, where they are not given."""
     image, label = trial.image, trial.label
+    if separation is not None and fillet is not None:
+        return Packed(separation, fillet, None)
     figures = OwnFigures.of(image, box=BOX)
-    if figures is None or (separation is not None and fillet is not None):
-        return Packed(separation or 1.0, 1.0 if fillet is None else fillet, None)
+    if figures is None:
+        notify(
+            f"the exemplar is too small to try separation and fillet ({LEAST} voxels along every "
+            "axis): 1 is taken where they are not set"
+        )
+        apart = 1.0 if separation is None else separation
+        return Packed(apart, 1.0 if fillet is None else fillet, None)
     steps = np.array(image.spacing) / min(image.spacing)
     shape = tuple(min(side, BOX) for side in image.shape)
     other = next(int(one) for one in np.unique(image.values) if one != label)
