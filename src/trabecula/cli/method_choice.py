@@ -22,7 +22,7 @@ def method_for(
     exemplars: list[Any], options: argparse.Namespace, shape: Sequence[int] | None = None
 ) -> tuple[Any, str]:
     """Return the method that `inspect` recommends, and a line that reports it, empty where there is
-    nothing to report; `texture` where that one cannot make what is asked for of a volume.
+    nothing to report; `texture` where that one cannot make the volume of the request.
 
     Its preset is taken where neither a preset nor settings are given. With these a volume is learnt
     by `texture`: so they were meant before there was a choice.
@@ -62,7 +62,7 @@ def method_for(
 
 
 def _hindrance(name: str, options: argparse.Namespace, shape: Sequence[int] | None) -> str:
-    """Return why a method cannot make what is asked for; empty where it can."""
+    """Return why a method cannot make the request; empty where it can."""
     from math import prod
 
     from trabecula.engine.memory import available_memory
