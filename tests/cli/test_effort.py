@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import trabecula as tb
-from trabecula.cli.main import main
+from trabecula.cli.main import main, whole_parser
+from trabecula.cli.method_choice import _others
 from trabecula.errors import InputError
 from trabecula.pipeline import trials as choosing
 from trabecula.report.certificate import Certificate
@@ -66,6 +67,22 @@ def test_another_method_is_tried_beside_the_settings(bone, monkeypatch):
     chosen, made = tb.choose_settings(tb.method("noise"), bone, others=[tb.method("texture")])
     assert chosen.capabilities.name == "noise"
     assert len(made) == 2
+    none_left = tb.method("texture", novelty=0.2, layout="coarse")
+    _, made = tb.choose_settings(none_left, bone, effort=3, others=[tb.method("noise")])
+    assert [dict(trial.settings) for trial in made] == [{}, {"method": "noise"}]
+
+
+def test_methods_that_cannot_make_the_request_are_not_tried(bone):
+    def others(*words):
+        options = whole_parser().parse_args(["generate", "bone.tif", "--out", "x.tif", *words])
+        shape = None if options.shape is None else [int(side) for side in options.shape]
+        found = _others(tb.method("texture"), bone, options, shape)
+        return [one.capabilities.name for one in found]
+
+    assert others("--shape", "64") == ["packing", "fibres"]
+    assert others("--fixed", "bone.tif", "--shape", "64", "64", "80") == []
+    assert others("--shape", "64", "--target", "porosity=0.8") == []
+    assert others("--shape", "2000", "2000", "2000", "--memory", "1") == []
 
 
 def test_of_equally_many_figures_out_of_band_the_nearer_material_is_taken(bone, monkeypatch):

@@ -386,7 +386,7 @@ def _prepare(options: argparse.Namespace) -> GenerateTask:
             f"--effort beside --model {options.model}: the model has learned with settings of its "
             "own; give --effort to fit"
         )
-    return replace(job, method=tried(job.method, job.exemplars, options))
+    return replace(job, method=tried(job.method, job.exemplars, options, job.request.shape))
 
 
 def _check_ensemble(options: argparse.Namespace) -> None:

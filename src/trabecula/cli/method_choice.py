@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
+from math import prod
 from typing import Any
 
 from trabecula.cli import options as shared
@@ -63,8 +64,6 @@ def method_for(
 
 def _hindrance(name: str, options: argparse.Namespace, shape: Sequence[int] | None) -> str:
     """Return why a method cannot make the request; empty where it can."""
-    from math import prod
-
     from trabecula.engine.memory import available_memory
     from trabecula.synth.api.registry import methods
 
@@ -103,7 +102,12 @@ def check_fits(method: Any, exemplars: list[Any]) -> None:
             raise InputError(why)
 
 
-def tried(method: Any, exemplars: list[Any] | None, options: argparse.Namespace) -> Any:
+def tried(
+    method: Any,
+    exemplars: list[Any] | None,
+    options: argparse.Namespace,
+    shape: Sequence[int] | None = None,
+) -> Any:
     """Return the method with the settings that the trials of --effort choose, or another one where
     none was named, and tell what each gave.
     """
@@ -115,7 +119,7 @@ def tried(method: Any, exemplars: list[Any] | None, options: argparse.Namespace)
         raise InputError(
             f"--effort {effort}: trials are held against one exemplar, got {len(exemplars or ())}"
         )
-    others = _others(method, exemplars[0]) if options.method is None else []
+    others = _others(method, exemplars[0], options, shape) if options.method is None else []
     chosen, trials = choose_settings(
         method, exemplars[0], others=others, effort=effort, memory=options.memory
     )
@@ -126,14 +130,18 @@ def tried(method: Any, exemplars: list[Any] | None, options: argparse.Namespace)
     return chosen
 
 
-def _others(chosen: Any, exemplar: Any) -> list[Any]:
+def _others(
+    chosen: Any, exemplar: Any, options: argparse.Namespace, shape: Sequence[int] | None
+) -> list[Any]:
     """Return the methods that may suit a volume of two phases as well as the one that is
-    recommended.
+    recommended, and can make the request; none beside a target, which that one was chosen for.
     """
     import numpy as np
 
     from trabecula.synth.api.registry import method
 
-    if exemplar.kind != "labels" or exemplar.ndim != 3 or len(np.unique(exemplar.values)) != 2:
+    two = exemplar.kind == "labels" and exemplar.ndim == 3 and len(np.unique(exemplar.values)) == 2
+    if not two or getattr(options, "target", None):
         return []
-    return [method(name) for name in _FOR_TWO_PHASES if name != chosen.capabilities.name]
+    left = [name for name in _FOR_TWO_PHASES if name != chosen.capabilities.name]
+    return [method(name) for name in left if not _hindrance(name, options, shape)]

@@ -118,7 +118,7 @@ def choose_settings(
         return method, ()
     check_type(method, Method, name="method", advice="give what tb.method returns")
     exemplar = as_image(exemplar)
-    own = [] if others and not _has_alternatives(method) else _alternatives(method, number)
+    own = _alternatives(method, number, needed=not others)
     asked: list[tuple[Method, Mapping[str, Any]]] = [(method, {})]
     asked += [(type(method)(replace(method.config, **one)), one) for one in own]
     asked += [(other, {"method": other.capabilities.name}) for other in others]
@@ -157,20 +157,20 @@ def _apart(metrics: Iterable[Metric]) -> float:
     return math.sqrt(sum(one**2 for one in numbers) / len(numbers)) if numbers else 0.0
 
 
-def _has_alternatives(method: Method) -> bool:
-    return hasattr(method.config, "alternatives")
-
-
-def _alternatives(method: Method, effort: int) -> list[Mapping[str, Any]]:
-    """List the alternatives to a method's settings that leave alone what was set."""
+def _alternatives(method: Method, effort: int, *, needed: bool) -> list[Mapping[str, Any]]:
+    """List the alternatives to a method's settings that leave alone what was set; raise where they
+    are `needed`, and there is none.
+    """
     known = method.capabilities.name
-    if not _has_alternatives(method):
+    offered = getattr(method.config, "alternatives", None)
+    if offered is None:
+        if not needed:
+            return []
         raise InputError(f"method {known!r} has no alternatives to try: leave the effort out")
     defaults = vars(method.config_type())
     changed = {name for name, value in vars(method.config).items() if value != defaults[name]}
-    offered = method.config.alternatives(effort)
-    left = [settings for settings in offered if not changed & settings.keys()]
-    if not left:
+    left = [settings for settings in offered(effort) if not changed & settings.keys()]
+    if needed and not left:
         raise InputError(
             f"{', '.join(sorted(changed))} of method {known!r} are set, and nothing is left to "
             "try: leave these settings out, or the effort"
