@@ -12,7 +12,7 @@ from trabecula.core.image import Image, as_image
 from trabecula.engine.parallel import in_order
 from trabecula.finish.forms import as_form, form_recipe
 from trabecula.finish.labels import background_of, lift, relabel, with_step
-from trabecula.measure.labelling import label_components
+from trabecula.measure.labelling import label_components, labels_at_faces
 from trabecula.measure.phases import as_connectivity, indicator, members
 from trabecula.measure.runs import runs_of
 
@@ -179,8 +179,5 @@ def _pores(image: Image | ArrayLike, phase: str | int | None, connectivity: int 
     image, inside = indicator(image, phase)
     void = image.values == background
     labels, sizes = label_components(void, connectivity=connectivity)
-    closed = np.ones(len(sizes) + 1, bool)
-    for axis in range(labels.ndim):
-        for end in (0, -1):
-            closed[labels.take(end, axis=axis)] = False
+    closed = ~labels_at_faces(labels, len(sizes))
     return _Pores(image, inside, void, labels, sizes, closed[1:])

@@ -60,6 +60,15 @@ def label_components(
     )
 
 
+def labels_at_faces(labels: np.ndarray, count: int) -> np.ndarray:
+    """Return which of the labels 0 .. `count` occur at a face of the image, (count + 1,) bool."""
+    found = np.zeros(count + 1, bool)
+    for axis in range(labels.ndim):
+        for end in (0, -1):
+            found[labels.take(end, axis=axis)] = True
+    return found
+
+
 def _join_across_faces(
     labels: np.ndarray, sizes: np.ndarray, connectivity: int, wraps: tuple[bool, ...]
 ) -> tuple[np.ndarray, np.ndarray]:

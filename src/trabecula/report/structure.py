@@ -10,7 +10,7 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.measure.grey import grey_values, near_one
-from trabecula.measure.labelling import label_components
+from trabecula.measure.labelling import label_components, labels_at_faces
 from trabecula.measure.partition import REACH, SMOOTHING
 from trabecula.measure.partition.partition import partition
 from trabecula.numerics.transforms import fast_side, sums_by_offset
@@ -264,11 +264,8 @@ def _compactness(labels: np.ndarray, sizes: np.ndarray) -> float | None:
     """Return the volume of bodies over that of balls with the same radii of gyration, in the
     median; None of fewer than `BODIES` whole ones of `BODY` voxels.
     """
-    whole = sizes >= BODY
-    for axis in range(labels.ndim):  # what the faces cut has another shape
-        for end in (0, -1):
-            cut = np.unique(labels.take(end, axis=axis))
-            whole[cut[cut > 0] - 1] = False
+    # what the faces cut has another shape
+    whole = (sizes >= BODY) & ~labels_at_faces(labels, len(sizes))[1:]
     if whole.sum() < BODIES:
         return None
     places = np.nonzero(labels)

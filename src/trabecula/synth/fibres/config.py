@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from trabecula.core.checks import as_number
-from trabecula.core.errors import InputError
-from trabecula.synth.shared.settings import keep_numbers
+from trabecula.synth.shared.settings import keep_numbers, keep_phase
 
-_LIMITS = {"separation": (0.0, 1.5), "fillet": (0.0, 4.0), "bend": (0.0, 1.0)}
+_LIMITS = {
+    "length": (0.1, 10.0),
+    "separation": (0.0, 1.5),
+    "fillet": (0.0, 4.0),
+    "bend": (0.0, 1.0),
+}
 
 
 @dataclass(frozen=True)
@@ -36,10 +39,5 @@ class FibresConfig:
     axis meets its own end."""
 
     def __post_init__(self) -> None:
-        keep_numbers(self, {"length": (0.1, 10)})
-        if self.phase is not None and not isinstance(self.phase, str):
-            raise InputError(f"phase={self.phase!r} should be the name of a phase")
-        for name, (low, high) in _LIMITS.items():
-            if getattr(self, name) is not None:
-                value = float(as_number(getattr(self, name), name=name, low=low, high=high))
-                object.__setattr__(self, name, value)
+        keep_numbers(self, _LIMITS)
+        keep_phase(self, "phase")

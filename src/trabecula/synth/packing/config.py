@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from trabecula.core.checks import as_number
-from trabecula.core.errors import InputError
-from trabecula.synth.shared.settings import keep_choices, keep_numbers
+from trabecula.synth.shared.settings import keep_choices, keep_numbers, keep_phase
 
-_LIMITS = {"separation": (0.5, 1.5), "fillet": (0.0, 4.0)}
+_LIMITS = {"degree": (0, 10), "separation": (0.5, 1.5), "fillet": (0.0, 4.0)}
 
 
 @dataclass(frozen=True)
@@ -38,10 +36,5 @@ class PackingConfig:
 
     def __post_init__(self) -> None:
         keep_choices(self, {"turns": ("auto", "any", "mirrors")})
-        keep_numbers(self, {"degree": (0, 10)})
-        if self.phase is not None and not isinstance(self.phase, str):
-            raise InputError(f"phase={self.phase!r} should be the name of a phase")
-        for name, (low, high) in _LIMITS.items():
-            if getattr(self, name) is not None:
-                value = float(as_number(getattr(self, name), name=name, low=low, high=high))
-                object.__setattr__(self, name, value)
+        keep_numbers(self, _LIMITS)
+        keep_phase(self, "phase")

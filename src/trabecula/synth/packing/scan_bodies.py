@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.measure.labelling import labels_at_faces
 from trabecula.measure.partition import REACH, SMOOTHING, Partition, cut_phase, measure_shapes
 from trabecula.synth.packing.radial_shapes import ball_radii, degree_for, fit_radii
 
@@ -55,7 +56,7 @@ def find_bodies(image: Image, label: int, degree: int) -> ScanBodies | None:
     inside = image.values == label
     cut = cut_phase(image, inside, False, smoothing=SMOOTHING, reach=REACH, name="bodies")
     shapes = measure_shapes(cut)
-    whole = _whole(cut)
+    whole = ~labels_at_faces(cut.labels, cut.count)[1:]
     if whole.sum() < LEAST:
         return None
     numbers = np.flatnonzero(whole)
@@ -83,15 +84,6 @@ def find_bodies(image: Image, label: int, degree: int) -> ScanBodies | None:
         misfit=float(np.average(misfits, weights=by_volume)),
         lie=_lie(shapes.covariance[numbers]),
     )
-
-
-def _whole(cut: Partition) -> np.ndarray:
-    """Return which bodies no face of the image cuts, (N,) bool."""
-    whole = np.ones(cut.count + 1, bool)
-    for axis in range(3):
-        for end in (0, -1):
-            whole[cut.labels.take(end, axis=axis)] = False
-    return whole[1:]
 
 
 def _weights(cut: Partition, whole: np.ndarray) -> np.ndarray:

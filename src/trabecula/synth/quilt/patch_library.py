@@ -19,7 +19,7 @@ from trabecula.core.image import Image
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_items
 from trabecula.fields.local import windowed
-from trabecula.measure.labelling import label_components
+from trabecula.measure.labelling import label_components, labels_at_faces
 from trabecula.numerics.bits import count_bits
 from trabecula.synth.quilt.config import QuiltConfig
 from trabecula.synth.quilt.period import agreement, cell_shifts, common_periods
@@ -176,13 +176,10 @@ def remove_unconnected(image: Image, connected: str) -> np.ndarray:
 def _mark_unconnected(inside: np.ndarray) -> np.ndarray:
     """Mark components that touch no face of the image, except the largest."""
     numbers, sizes = label_components(inside)
-    lost = np.ones(len(sizes) + 1, np.bool_)
+    lost = ~labels_at_faces(numbers, len(sizes))
     lost[0] = False
     if len(sizes):
         lost[1 + int(sizes.argmax())] = False
-    for axis in range(inside.ndim):
-        for end in (0, -1):
-            lost[numbers.take(end, axis)] = False
     return lost[numbers]
 
 

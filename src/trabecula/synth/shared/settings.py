@@ -12,15 +12,21 @@ from trabecula.exemplar.views import as_planes
 
 def keep_numbers(config: Any, ranges: Mapping[str, tuple[float, float]]) -> None:
     """Check that numbers are within their ranges (name -> least, most); whole where the field's
-    default is.
+    default is. Where that is None a field may be None, and is a float else.
     """
     for name, (low, high) in ranges.items():
-        whole = isinstance(getattr(type(config), name), int)
-        object.__setattr__(
-            config,
-            name,
-            as_number(getattr(config, name), name=name, low=low, high=high, whole=whole),
-        )
+        default, given = getattr(type(config), name), getattr(config, name)
+        if default is None and given is None:
+            continue
+        value = as_number(given, name=name, low=low, high=high, whole=isinstance(default, int))
+        object.__setattr__(config, name, float(value) if default is None else value)
+
+
+def keep_phase(config: Any, field: str) -> None:
+    """Check that a field is the name of a phase, or None."""
+    value = getattr(config, field)
+    if value is not None and not isinstance(value, str):
+        raise InputError(f"{field}={value!r} should be the name of a phase")
 
 
 def keep_rounds(

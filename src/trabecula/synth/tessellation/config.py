@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from trabecula.core.checks import as_number
-from trabecula.core.errors import InputError
-from trabecula.synth.shared.settings import keep_numbers, keep_views
+from trabecula.synth.shared.settings import keep_numbers, keep_phase, keep_views
+
+_LIMITS = {"neck": (0.05, 1.0), "volume_spread": (0.0, 1.5), "rounding": (0.0, 0.5)}
 
 
 @dataclass(frozen=True)
@@ -38,12 +39,8 @@ class TessellationConfig:
 
     def __post_init__(self) -> None:
         keep_views(self)
-        keep_numbers(self, {"neck": (0.05, 1)})
-        if self.boundary is not None and not isinstance(self.boundary, str):
-            raise InputError(f"boundary={self.boundary!r} should be the name of a phase")
-        limits = {"volume_spread": 1.5, "lloyd_steps": 50, "rounding": 0.5}
-        for name, most in limits.items():
-            if getattr(self, name) is not None:
-                whole = name == "lloyd_steps"
-                value = as_number(getattr(self, name), name=name, low=0, high=most, whole=whole)
-                object.__setattr__(self, name, value if whole else float(value))
+        keep_numbers(self, _LIMITS)
+        keep_phase(self, "boundary")
+        if self.lloyd_steps is not None:
+            steps = as_number(self.lloyd_steps, name="lloyd_steps", low=0, high=50, whole=True)
+            object.__setattr__(self, "lloyd_steps", steps)
