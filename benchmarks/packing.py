@@ -65,8 +65,7 @@ def _chosen(model: Any) -> str:
         own = model.bodies
         return f"{words}; {len(own.weights)} whole bodies, misfit {own.misfit:.3f}"
     own = model.strands
-    radius = float(own.weights @ own.radii)
-    return f"{words}, bend {model.bend:g}; radius {radius:.2f}, clarity {own.clarity:.2f}"
+    return f"{words}, bend {model.bend:g}; radius {own.mean_radius:.2f}, clarity {own.clarity:.2f}"
 
 
 def _materials(names: Sequence[str]) -> Iterator[tuple[str, tb.Image]]:

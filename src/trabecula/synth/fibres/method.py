@@ -14,7 +14,7 @@ from trabecula.core.request import Request
 from trabecula.synth.api.model import ModelState
 from trabecula.synth.fibres import CAPABILITIES
 from trabecula.synth.fibres.config import FibresConfig
-from trabecula.synth.fibres.laying import Laid, draw_fibres, lay
+from trabecula.synth.fibres.laying import APART, Laid, draw_fibres, lay
 from trabecula.synth.fibres.strands import Strands, find_strands
 from trabecula.synth.shared.packed.method import PackedMethod, PackedModel
 from trabecula.synth.shared.packed.trials import Packed, SmallPackings, choose
@@ -163,9 +163,8 @@ class FibresModel(PackedModel):
         return depth, report
 
     def _body_bytes(self, sides: np.ndarray) -> float:
-        section = np.pi * float(self.strands.weights @ self.strands.radii**2)
-        step = 0.8 * float(self.strands.weights @ self.strands.radii)
-        return _PLACE * float(np.prod(sides)) * self.fraction / (section * step)
+        step = APART * self.strands.mean_radius
+        return _PLACE * float(np.prod(sides)) * self.fraction / (self.strands.section * step)
 
 
 def _thin(strands: Strands) -> bool:

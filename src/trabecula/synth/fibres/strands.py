@@ -48,6 +48,16 @@ class Strands:
         share = self.radii**-2.0
         return np.asarray(share / share.sum())
 
+    @property
+    def mean_radius(self) -> float:
+        """Return the mean radius along fibres."""
+        return float(self.weights @ self.radii)
+
+    @property
+    def section(self) -> float:
+        """Return the mean area of a section across a fibre, along fibres."""
+        return float(np.pi * float(self.weights @ self.radii**2))
+
 
 def find_strands(image: Image, label: int) -> Strands:
     """Return what is known of the fibres of a phase.

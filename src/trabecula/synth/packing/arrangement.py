@@ -14,22 +14,18 @@ from functools import partial
 
 import numpy as np
 
-from trabecula.core.progress import track
 from trabecula.core.seeds import generator
 from trabecula.engine.compile import kernel
-from trabecula.engine.parallel import for_items
 from trabecula.synth.packing.radial_shapes import radius_towards
 from trabecula.synth.packing.scan_bodies import ScanBodies
 from trabecula.synth.shared.packed.drawn import drawn_evenly
-from trabecula.synth.shared.packed.neighbours import add_pushes, neighbour_pairs, offset_between
+from trabecula.synth.shared.packed.neighbours import neighbour_pairs, offset_between
+from trabecula.synth.shared.packed.pushing import push_apart, write_push
 
-STEPS = 300
-_GROWN = 0.5  # of the steps, until bodies push over their whole distance
+_STEPS = 300
 _PUSH = 0.35  # of what is lacking, for each of two bodies, a step
 _FARTHEST = 0.25  # of its mean radius that a body moves, a step
-_RENEW = 5  # steps with one list of neighbours
 _NEAR = 1.15  # sums of the largest radii, within which bodies are neighbours
-_DONE = 0.005  # of their radii that bodies lack on average, where steps end
 _STAGE = "packing"
 
 
@@ -94,24 +90,21 @@ def arrange(
     places = draw.random((count, 3)) * box
     largest = bodies.radii.max(axis=1)[shapes].astype(np.float64)
     mean = bodies.radii.mean(axis=1)[shapes].astype(np.float64)
-    pairs = np.empty((0, 2), np.int64)
-    lacking = 0.0
-    steps = range(STEPS)
-    for number in steps if quiet else track(steps, "packing bodies"):
-        if number % _RENEW == 0:
-            pairs = neighbour_pairs(places, _NEAR * separation * largest, box)
-        grown = min(1.0, 0.5 + 0.5 * number / (_GROWN * STEPS))
-        pushes = np.empty((len(pairs), 4))
-        given = (places, shapes, turns, bodies.radii, box, pairs, grown * separation, pushes)
-        for_items(partial(_push, *given), len(pairs), least=512)
-        moves = np.zeros_like(places)
-        add_pushes(pairs, pushes, moves)
-        lacking = float(pushes[:, 3].sum() / mean.sum())
-        if grown == 1 and lacking < _DONE:
-            break
+
+    def moved(at: np.ndarray, moves: np.ndarray) -> np.ndarray:
         length = np.sqrt((moves**2).sum(axis=1))
         moves *= np.minimum(1, _FARTHEST * mean / np.maximum(length, 1e-12))[:, None]
-        places = np.mod(places + moves, box)
+        return np.asarray(np.mod(at + moves, box))
+
+    places, lacking = push_apart(
+        places,
+        lambda at: neighbour_pairs(at, _NEAR * separation * largest, box),
+        lambda at, grown: partial(_push, at, shapes, turns, bodies.radii, box, grown * separation),
+        moved,
+        steps=_STEPS,
+        size=float(mean.sum()),
+        label="" if quiet else "packing bodies",
+    )
     return Arrangement(bodies.radii, shapes, turns, places, box, lacking)
 
 
@@ -131,7 +124,7 @@ def _turns(count: int, any_way: bool, draw: np.random.Generator) -> np.ndarray:
 
 
 @kernel
-def _push(places, shapes, turns, radii, sides, pairs, separation, pushes, start, stop):
+def _push(places, shapes, turns, radii, sides, separation, pairs, pushes, start, stop):
     """Write for pairs start..stop the move of the second body (3), and what the two lack of their
     distance.
     """
@@ -155,7 +148,5 @@ def _push(places, shapes, turns, radii, sides, pairs, separation, pushes, start,
             )
         )
         lack = max(wanted - length, 0.0)
-        pushes[k, 0] = _PUSH * lack * dz / length
-        pushes[k, 1] = _PUSH * lack * dy / length
-        pushes[k, 2] = _PUSH * lack * dx / length
+        write_push(pushes[k], _PUSH * lack, dz, dy, dx, length)
         pushes[k, 3] = lack

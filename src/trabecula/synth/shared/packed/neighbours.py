@@ -1,4 +1,4 @@
-"""Which places are near each other in a box that repeats, and how they push each other."""
+"""Which places are near each other in a box that repeats."""
 
 from __future__ import annotations
 
@@ -99,15 +99,3 @@ def _find(places, reach, sides, cells, head, following, ends, pairs, start, stop
                         j = following[j]
         if not len(pairs):
             ends[i + 1] = found
-
-
-@kernel
-def add_pushes(pairs, pushes, moves):
-    """Add the pushes (P, 3 or more) to the moves (n, 3) of both of every pair, in their order: away
-    for the second, back for the first.
-    """
-    for k in range(len(pairs)):
-        i, j = pairs[k]
-        for axis in range(3):
-            moves[i, axis] -= pushes[k, axis]
-            moves[j, axis] += pushes[k, axis]
