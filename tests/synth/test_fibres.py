@@ -204,7 +204,7 @@ def test_bends_are_tried_as_long_as_they_help(felt, monkeypatch):
 
     scores, tried = iter([2.0, 1.5, 1.7]), []
 
-    def chosen(self, image, label, strands, bend, separations=module._SEPARATIONS):
+    def chosen(self, image, label, figures, strands, bend, separations=module._SEPARATIONS):
         tried.append((bend, separations))
         return Packed(0.4, 0.5, next(scores))
 

@@ -16,6 +16,7 @@ from trabecula.synth.fibres import CAPABILITIES
 from trabecula.synth.fibres.config import FibresConfig
 from trabecula.synth.fibres.laying import APART, Laid, draw_fibres, lay
 from trabecula.synth.fibres.strands import Strands, find_strands
+from trabecula.synth.shared.own_figures import OwnFigures
 from trabecula.synth.shared.packed.method import PackedMethod, PackedModel
 from trabecula.synth.shared.packed.trials import Packed, SmallPackings, choose
 
@@ -62,14 +63,15 @@ class Fibres(PackedMethod):
         """Return how fibres lie: straight ones first, then with bends where they are nearest."""
         config = self.config
         bend = 0.0 if config.bend is None else config.bend
-        lies = _Lies(self._chosen(image, label, strands, bend), bend)
+        figures = self._measured(image)
+        lies = _Lies(self._chosen(image, label, figures, strands, bend), bend)
         if config.bend is not None or lies.packed.score is None:
             return lies
         near = lies.packed
         at = _SEPARATIONS.index(near.separation) if near.separation in _SEPARATIONS else 0
         around = _SEPARATIONS[max(at - 1, 0) : at + 1]
         for bend in _BENDS:
-            packed = self._chosen(image, label, strands, bend, around)
+            packed = self._chosen(image, label, figures, strands, bend, around)
             if packed.score is None or packed.score >= (lies.packed.score or 0):
                 break
             lies = _Lies(packed, bend)
@@ -79,6 +81,7 @@ class Fibres(PackedMethod):
         self,
         image: Image,
         label: int,
+        figures: OwnFigures | None,
         strands: Strands,
         bend: float,
         separations: tuple[float, ...] = _SEPARATIONS,
@@ -98,7 +101,7 @@ class Fibres(PackedMethod):
             )
 
         return choose(
-            SmallPackings(image, label, pack, draw_fibres),
+            SmallPackings(image, label, figures, pack, draw_fibres),
             separation=self.config.separation,
             fillet=self.config.fillet,
             separations=separations,

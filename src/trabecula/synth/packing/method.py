@@ -20,6 +20,7 @@ from trabecula.synth.packing.config import PackingConfig
 from trabecula.synth.packing.drawing import draw_depth
 from trabecula.synth.packing.radial_shapes import SIZE
 from trabecula.synth.packing.scan_bodies import LEAST, ScanBodies, find_bodies
+from trabecula.synth.shared.own_figures import OwnFigures
 from trabecula.synth.shared.packed.method import PackedMethod, PackedModel
 from trabecula.synth.shared.packed.trials import Packed, SmallPackings, choose
 
@@ -56,17 +57,20 @@ class Packing(PackedMethod):
             raise InputError(
                 f"the exemplar has fewer than {LEAST} whole round bodies: {self._advice(found)}"
             )
+        figures = self._measured(image)
         rounder = sorted(whole, key=lambda label: (whole[label].misfit, label))
         tried: dict[int, Packed] = {}
         for label in rounder:
             near = whole[label].misfit <= _ALIKE * whole[rounder[0]].misfit
             if near and not any((packed.score or 0) <= _GOOD for packed in tried.values()):
-                tried[label] = self._tried(image, label, whole[label])
+                tried[label] = self._tried(image, label, whole[label], figures)
         best = min(tried, key=lambda label: (tried[label].score or 0, label))
         self._say_score(tried[best], image.phases[best])
         return best, whole[best], tried[best]
 
-    def _tried(self, image: Image, label: int, bodies: ScanBodies) -> Packed:
+    def _tried(
+        self, image: Image, label: int, bodies: ScanBodies, figures: OwnFigures | None
+    ) -> Packed:
         """Return how the bodies of a phase are packed."""
         any_way = is_any_way(self.config, bodies)
 
@@ -81,7 +85,7 @@ class Packing(PackedMethod):
                 quiet=True,
             )
 
-        trial = SmallPackings(image, label, pack, draw_depth)
+        trial = SmallPackings(image, label, figures, pack, draw_depth)
         return choose(trial, separation=self.config.separation, fillet=self.config.fillet)
 
     def _advice(self, found: Mapping[int, ScanBodies | None]) -> str:

@@ -22,7 +22,7 @@ from trabecula.core.target import porosity_of
 from trabecula.engine.parallel import thread_count
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.shared.content.fields import phases_present
-from trabecula.synth.shared.own_figures import OwnFigures, figure_stages, tell_off
+from trabecula.synth.shared.own_figures import LEAST, OwnFigures, figure_stages, tell_off
 from trabecula.synth.shared.packed.depth import deepest_by_share, deepest_share
 from trabecula.synth.shared.packed.trials import BOX, Packed
 
@@ -67,6 +67,20 @@ class PackedMethod(Method):
                 f"phase={name!r} is no phase of the exemplar: it has {', '.join(known)}"
             )
         return [one for one in present if name in (None, image.phases[one])]
+
+    def _measured(self, image: Image) -> OwnFigures | None:
+        """Return the figures that trials are held against; None where nothing is to be tried, or
+        the exemplar is too small, which is said.
+        """
+        if self.config.separation is not None and self.config.fillet is not None:
+            return None
+        found = OwnFigures.of(image, box=BOX)
+        if found is None:
+            notify(
+                f"the exemplar is too small to try separation and fillet ({LEAST} voxels along "
+                "every axis): 1 is taken where they are not set"
+            )
+        return found
 
     def _say_score(self, packed: Packed, phase: str) -> None:
         """Say where even the nearest of the trials are far from the scan."""
@@ -120,7 +134,8 @@ class PackedModel(Model):
     def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
         """Place the bodies, and take as many of the deepest voxels as are wanted."""
         wanted = self._share(request)
-        share = float(np.mean(np.asarray(wanted)[_where(wanted, request.mask)]))
+        inside = ... if request.mask is None or not np.ndim(wanted) else request.mask
+        share = float(np.mean(np.asarray(wanted)[inside]))
         values, report = self._placed(request, wanted, share)
         report |= {
             "phase": self.facts[0].phases[self.label],
@@ -221,8 +236,3 @@ class PackedModel(Model):
     @abstractmethod
     def _body_bytes(self, sides: np.ndarray) -> float:
         """Return the bytes of the bodies in a box with these sides, edges."""
-
-
-def _where(wanted: float | np.ndarray, mask: np.ndarray | None) -> Any:
-    """Return where a field of what is wanted counts; everywhere for a number."""
-    return mask if mask is not None and isinstance(wanted, np.ndarray) else ...

@@ -13,9 +13,8 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.core.progress import notify
 from trabecula.engine.parallel import map_items
-from trabecula.synth.shared.own_figures import LEAST, Figure, OwnFigures
+from trabecula.synth.shared.own_figures import Figure, OwnFigures
 from trabecula.synth.shared.packed.depth import deepest_share
 
 BOX = 96
@@ -69,6 +68,8 @@ class SmallPackings(Generic[A]):
         The scan, of two phases.
     label : int
         Of the bodies.
+    figures : OwnFigures, optional
+        Of the scan's centre box of `BOX`; None: nothing is tried.
     arrange : callable
         Of the sides of a box in edges, a separation and a seed: bodies, and what they lack.
     draw : callable
@@ -77,6 +78,7 @@ class SmallPackings(Generic[A]):
 
     image: Image
     label: int
+    figures: OwnFigures | None
     arrange: Callable[[np.ndarray, float, int], A]
     draw: Callable[[A, tuple[int, ...], np.ndarray, float], np.ndarray]
 
@@ -88,16 +90,9 @@ def choose(
     fillet: float | None,
     separations: tuple[float, ...] = SEPARATIONS,
 ) -> Packed:
-    """Choose separation and fillet, where they are not given."""
-    image, label = trial.image, trial.label
-    if separation is not None and fillet is not None:
-        return Packed(separation, fillet, None)
-    figures = OwnFigures.of(image, box=BOX)
-    if figures is None:
-        notify(
-            f"the exemplar is too small to try separation and fillet ({LEAST} voxels along every "
-            "axis): 1 is taken where they are not set"
-        )
+    """Choose separation and fillet, where they are not given; 1 where nothing is tried."""
+    image, label, figures = trial.image, trial.label, trial.figures
+    if figures is None or (separation is not None and fillet is not None):
         apart = 1.0 if separation is None else separation
         return Packed(apart, 1.0 if fillet is None else fillet, None)
     steps = np.array(image.spacing) / min(image.spacing)
