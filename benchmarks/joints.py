@@ -14,36 +14,64 @@ HELD = 40
 """Planes that an extension continues."""
 SCANS = ("bone a", "bone with cortex", "Berea", "NMC")
 SEEDS = (1, 2)
-SETTINGS: dict[str, dict[str, str]] = {"sliced layout": {"layout": "structure"}, "default": {}}
+SETTINGS: dict[str, dict[str, float]] = {"default": {}, "patches": {"novelty": 0}}
 
 
 def texture_joints() -> None:
-    """A hole of 48^3 in 100^3 of a scan, filled from 96^3 at its other end, and 60 planes added to
-    40 of the same.
+    """A hole of 48^3 in 100^3 of a scan, filled from 96^3 at its other end; 60 planes added to 40
+    of the same; and 60 planes added to 40 of the exemplar itself.
 
     `joint` is the share of voxels that change their phase across the joint, over that between
     neighbours within what was made; `next` the same for the three planes beyond it. The scan's own
-    are of the same places.
+    are of the same places. *graded* is to have the exemplar's porosity at the joint, and a fifth
+    less solid at the other end.
     """
     row = table(
-        "scan, case", "seed", "joint", "next", "made", "Euler", "coh(4)", "seconds", wide=34
+        "scan, case", "seed", "joint", "next", "made", "Euler", "coh(4)", "seconds", wide=36
     )
     every = scans()
     for name in (one for one in asked("ONLY") or SCANS if one in every):
         scan = every[name]
-        exemplar = tb.crop(scan, EXEMPLAR, corner=(0, 0, 0))
-        host = tb.crop(scan, SIDE, corner=[edge - SIDE for edge in scan.shape])
-        for case, known in (("hole", _hole()), ("extension", _held())):
+        corner = [edge - SIDE for edge in scan.shape]
+        host = tb.crop(scan, SIDE, corner=corner)
+        apart, beside = tb.crop(scan, EXEMPLAR, corner=(0, 0, 0)), _beside(scan, corner)
+        for case, known, exemplar in (
+            ("hole", _hole(), apart),
+            ("extension", _held(), apart),
+            ("continuation", _held(), beside),
+        ):
+            own = _told(exemplar.values, "exemplar")
+            row(f"{name}, {case}, the exemplar", "", "", "", *own[2:], "", "")
             row(f"{name}, {case}, the scan", "", *_told(host.values, case), "", "")
-            for words, settings in SETTINGS.items():
+            ways = [(words, settings, {}) for words, settings in SETTINGS.items()]
+            if case == "continuation":
+                ways.append(("graded", {}, {"porosity": _ramp(exemplar)}))
+            for words, settings, target in ways:
                 model = tb.method("texture", **settings).fit(exemplar)
                 for seed in SEEDS:
-                    request = tb.Request(host.shape, seed=seed, fixed=host, known=known)
+                    request = tb.Request(
+                        host.shape, seed=seed, fixed=host, known=known, target=target
+                    )
                     seconds, made = busy(lambda m=model, r=request: m.generate(r))
                     new = made.values[(HOLE,) * 3] if case == "hole" else made.values[HELD:]
                     copied = tb.measure.coherence(exemplar, new, k=(4,), samples=300)[4]
                     told = (*_told(made.values, case), f"{copied:.3f}", f"{seconds:.1f}")
                     row(f"{name}, {case}, {words}", seed, *told)
+
+
+def _beside(scan: tb.Image, corner: list[int]) -> tb.Image:
+    """Return the part of a scan that ends where an extension begins, two voxels narrower a side."""
+    first = max(corner[0] + HELD - EXEMPLAR, 0)
+    size = (corner[0] + HELD - first, EXEMPLAR, EXEMPLAR)
+    return tb.crop(scan, size, corner=(first, corner[1] + 2, corner[2] + 2))
+
+
+def _ramp(exemplar: tb.Image) -> np.ndarray:
+    solid = float(np.mean(exemplar.values > 0))
+    along = np.interp(np.arange(SIDE), (HELD, SIDE - 1), (1 - solid, 1 - 0.8 * solid))
+    return np.ascontiguousarray(
+        np.broadcast_to(along[:, None, None], (SIDE,) * 3).astype(np.float32)
+    )
 
 
 def _hole() -> np.ndarray:
@@ -60,7 +88,9 @@ def _held() -> np.ndarray:
 
 def _told(values: np.ndarray, case: str) -> tuple[str, ...]:
     solid = np.asarray(values) > 0
-    if case == "extension":
+    if case == "exemplar":
+        return _figures(solid, 0, 0)
+    if case != "hole":
         made = solid[HELD:]
         changes = np.mean(np.diff(solid, axis=0), axis=(1, 2))
         joint, near = changes[HELD - 1], changes[HELD : HELD + 3].mean()
@@ -68,6 +98,10 @@ def _told(values: np.ndarray, case: str) -> tuple[str, ...]:
         made = solid[(HOLE,) * 3]
         sides = [_across_faces(solid, axis) for axis in range(3)]
         joint, near = np.mean([side[0] for side in sides]), np.mean([side[1] for side in sides])
+    return _figures(made, joint, near)
+
+
+def _figures(made: np.ndarray, joint: float, near: float) -> tuple[str, ...]:
     inside = np.mean([np.mean(np.diff(made, axis=axis)) for axis in range(3)])
     euler = tb.measure.euler_density(tb.Image(np.ascontiguousarray(made, np.uint8), "labels"))
     return f"{joint / inside:.2f}", f"{near / inside:.2f}", f"{inside:.4f}", f"{1e6 * euler:.0f}"

@@ -10,7 +10,12 @@ from trabecula.synth.shared.matching.grid import Grid, targets_of
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import cast_votes, equal_weights, match_votes
 from trabecula.synth.shared.matching.sources import Candidates, Stack
-from trabecula.synth.shared.matching.vote_power import lower_votes, power_for, raise_distances
+from trabecula.synth.shared.matching.vote_power import (
+    _planes_to_try,
+    lower_votes,
+    power_for,
+    raise_distances,
+)
 from trabecula.synth.shared.statistics.euler import euler_densities, euler_slopes
 from trabecula.synth.texture.config import TextureConfig
 
@@ -117,3 +122,52 @@ def test_votes_of_some_planes_are_the_first_of_all(jittered):
 def test_recipes_of_before_vote_with_plain_distances():
     assert TextureConfig.recorded({})["vote_power"] == 1
     assert TextureConfig.recorded({"vote_power": 0.0})["vote_power"] == 0
+
+
+def test_beside_known_voxels_the_free_ones_choose(jittered, bone_field):
+    """A wrong target for the known half changes nothing: its cubes do not count."""
+    grid, match, weights = jittered
+    known = np.arange(SIDE)[:, None, None] < 12
+    free = np.ascontiguousarray(np.broadcast_to(~known, (SIDE,) * 3))
+    low = np.where(free, -127, bone_field).astype(np.int8)
+    high = np.where(free, 127, bone_field).astype(np.int8)
+    region = Region((SIDE,) * 3, (False,) * 3, free, low, high)
+    beside = Grid(grid.candidates, region, grid.shape, grid.active, grid.targets)
+    euler = euler_densities([bone_field], within=free)
+    assert not np.allclose(euler, euler_densities([bone_field]), rtol=0.02)
+    apart = {}
+    for power in (0.35, 0.5, 0.5**0.5, 1.0):
+        votes = cast_votes(beside, match, weights, trim=1, field=raise_distances(bone_field, power))
+        made = match_votes(region, lower_votes(votes, power), grid.targets)
+        apart[power] = np.abs(euler_densities([made], within=free) - euler).sum()
+    found = power_for(beside, match, weights, euler, trim=1)
+    assert found < 1 and apart[min(apart, key=lambda power: abs(power - found))] < apart[1.0]
+
+
+def test_euler_densities_within_a_mask_are_those_of_what_it_holds(bone_field):
+    within = np.zeros(bone_field.shape[1:], bool)
+    within[5:20] = True
+    part = np.ascontiguousarray(bone_field[:, 5:20])
+    np.testing.assert_allclose(
+        euler_densities([bone_field], within=within), euler_densities([part])
+    )
+
+
+def test_so_many_planes_are_tried_as_hold_enough_free_voxels(monkeypatch):
+    monkeypatch.setattr("trabecula.synth.shared.matching.vote_power._ENOUGH", 200)
+    free = np.zeros((40, 10, 10), bool)
+    free[30:] = True
+    assert _planes_to_try(free.shape, free) == 32
+    assert _planes_to_try(free.shape) == 16
+    assert _planes_to_try(free.shape, ~free) == 16
+    assert _planes_to_try(free.shape, np.zeros_like(free)) == 40
+
+
+def test_the_first_planes_of_a_region_are_its_own(bone_field):
+    free = bone_field[0] > 0
+    region = Region((SIDE,) * 3, (True,) * 3, free, bone_field, bone_field)
+    part = region.first_planes(9)
+    assert part.shape == (9, SIDE, SIDE) and part.wraps == (False, True, True)
+    assert part.free.shape == (9, SIDE, SIDE) and part.low.shape == part.high.shape
+    np.testing.assert_array_equal(part.low, bone_field[:, :9])
+    assert region.first_planes(SIDE) is region

@@ -28,19 +28,18 @@ from trabecula.engine.memory import Array, Stage, Workspace, within
 from trabecula.synth.shared.coarse_to_fine import CoarseToFine, RoundStage
 from trabecula.synth.shared.content.fields import noise, votes_of
 from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.known_part import KnownPart, hold_move, is_a_sample, known_stages
 from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_matches, targets_of
-from trabecula.synth.shared.matching.region import Region, has_cube
+from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import cast_votes, match_votes, refine_field
 from trabecula.synth.shared.matching.sources import Candidates, Stack, carry_matches
 from trabecula.synth.shared.matching.vote_power import (
-    BESIDE,
     lower_votes,
     power_for,
     power_stages,
     raise_distances,
 )
-from trabecula.synth.shared.novel_schedule import LEAST, WIDEST, WIDTH, Pass, is_sliced, is_whole
-from trabecula.synth.shared.slabs import complement, count_true
+from trabecula.synth.shared.novel_schedule import WIDEST, WIDTH, Pass, is_sliced, is_whole
 from trabecula.synth.shared.stages import LevelMemory, layout_stages, region_arrays
 from trabecula.synth.shared.statistics.density_slopes import DensitySlopes
 from trabecula.synth.shared.statistics.euler import euler_densities
@@ -205,16 +204,11 @@ def _margin(known: np.ndarray | None, axis: int, top: int) -> int:
     return 0 if along[:reach].all() and along[-reach:].all() else WIDEST
 
 
-def has_room_beside(known: np.ndarray, top: int) -> bool:
-    """Return whether the free voxels have room for a layout on level `top`, and half of the known
-    ones are seen there.
+def takes_steps(request: Request, layout: str) -> bool:
+    """Return whether there are steps on the two-point function: beside known voxels where the free
+    ones are a sample of the material, and not after sliced rounds.
     """
-    open_, held = Region(known.shape, free=complement(known)), Region(known.shape, free=known)
-    for _ in range(top):
-        open_, held = open_.halve(), held.halve()
-    assert open_.free is not None and held.free is not None
-    seen = count_true(complement(open_.free)) * 8**top
-    return 2 * seen >= count_true(known) and has_cube(complement(held.free), LEAST)
+    return request.known is None or (not is_sliced(layout) and is_a_sample(request.known))
 
 
 @dataclass(frozen=True)
@@ -277,7 +271,8 @@ class NovelRounds(CoarseToFine[Any]):
     debt : (C, bins)
         Misfit of the two-point function that the next steps make up for.
     on_torus : bool
-        Whether steps are those on a torus; else the older ones, which know open faces and holes.
+        Whether steps are those on a torus; else the older ones, which know open faces and holes, or
+        none.
     """
 
     def __init__(
@@ -303,7 +298,8 @@ class NovelRounds(CoarseToFine[Any]):
         self.candidates = [next(unused[part.level]) for part in schedule]
         self.debt: np.ndarray | None = None
         self.rounds = 0 if slices is None else _SLICED[config.layout][0]
-        self.on_torus = is_whole(config.layout) and request.fixed is None
+        self.on_torus = is_whole(config.layout) and takes_steps(request, config.layout)
+        self._known: tuple[int, KnownPart] | None = None  # of a pass
 
     @property
     def names(self) -> list[str]:
@@ -380,26 +376,32 @@ class NovelRounds(CoarseToFine[Any]):
         return layout_stages(volume, {**held, "moving": held["free"]}, transport, steps)
 
     def _pass_stages(self, number: int, mapped: bool = False) -> tuple[Stage, ...]:
-        part = self.schedule[number]
+        part, shape = self.schedule[number], self.shapes[self.schedule[number].level]
+        known = self.request.fixed is not None
         level = LevelMemory(
             self.request,
-            Region(self.shapes[part.level], _AROUND),
+            Region(shape, _AROUND),
             [(0, self.candidates[number])],
             sweeps=part.sweeps(0, self.config.sweeps),
+            held={"shares": Array(shape, np.uint8)} if known and part.steps else {},
             votes_rest=False,
             refit=number > 0 and self.schedule[number - 1].level == part.level,
             mapped=mapped,
         )
-        if not part.steps:
-            return level.stages()
         target, periodic = self.aims[part.level].correlations, self.request.periodic
-        step = self._step_stages(level.covered.shape, target, periodic)
-        waves = within({**level.base, **level.votes}, wave_stages(level.volume))
-        stages = (*replace(level, correction=step).stages(), *waves)
+        if part.steps:
+            step = self._step_stages(level.covered.shape, target, periodic)
+            if known:
+                step = (*step, *known_stages(shape, level.channels, target))
+            waves = within({**level.base, **level.votes}, wave_stages(level.volume))
+            stages = (*replace(level, correction=step).stages(), *waves)
+        else:
+            stages = level.stages()
         if self.aims[part.level].euler is None:
             return stages
         weight = {"weight0": Array(level.grids[0], np.int32)}
-        return (*stages, *within({**level.base, **weight}, power_stages(level.volume)))
+        tried = power_stages(level.volume, known=known)
+        return (*stages, *within({**level.base, **weight}, tried))
 
     def _step_stages(
         self, shape: Sequence[int], target: Correlations, periodic: Sequence[bool]
@@ -516,8 +518,8 @@ class NovelRounds(CoarseToFine[Any]):
         """Make the field that the matches vote for."""
         work, grid, trim = self.work, stage.grid, 1 if stage.part.level == 0 else 0
         matched = grid, work["match0"], work["weight0"]
-        power = self._power(stage)
-        if power is None and stage.euler is not None:
+        power = 1.0 if stage.part.level else self.config.vote_power
+        if not power and stage.euler is not None:
             work.enter("try powers")
             power = power_for(*matched, stage.euler, trim=trim)
         work.enter("vote")
@@ -528,13 +530,6 @@ class NovelRounds(CoarseToFine[Any]):
         work.adopt("votes", votes)
         self.join_votes(grid.region)
         self.match_field(grid.region, grid.targets)
-
-    def _power(self, stage: PassStage) -> float | None:
-        """Return the power of the votes of a pass; None: Euler numbers choose it."""
-        known = self.request.fixed is not None
-        if stage.part.level and not known:
-            return 1.0
-        return self.config.vote_power or (BESIDE if known else None)
 
     def correct(self, stage: PassStage, number: int) -> None:
         """Take steps on the two-point function, the last with one on long waves."""
@@ -547,16 +542,35 @@ class NovelRounds(CoarseToFine[Any]):
             )
         for step in range(part.steps):
             work.enter("rest")
+            target, interface = self._aim_of(stage)
             work.enter("match")
             renew = step == 0 and part.beyond > 0
-            votes = work.adopt("votes", self._step(stage.target, beyond, renew))
-            if stage.interface is not None:
-                shorten_move(work["field"], votes, stage.interface)
+            votes = work.adopt("votes", self._step(target, beyond, renew))
+            if interface is not None:
+                shorten_move(work["field"], votes, interface)
+            if "shares" in work:
+                hold_move(votes, work["field"], work["shares"])
             if step == part.steps - 1:
                 work.enter("waves")
                 _hold_waves(votes, stage.target, grid.region, grid.targets)
             del votes
             self.match_field(grid.region, grid.targets)
+
+    def _aim_of(self, stage: PassStage) -> tuple[Correlations, np.ndarray | None]:
+        """Return the target of steps, and the most interface that they may leave; beside known
+        voxels those of all voxels together.
+        """
+        grid = stage.grid
+        if grid.region.low is None or not self.on_torus:
+            return stage.target, stage.interface
+        if self._known is None or self._known[0] != stage.number:
+            free = with_histograms(self.aims[stage.part.level], grid.targets)
+            most = None if free.interface is None else stage.part.roughest * free.interface
+            part, shares = KnownPart.of(grid.region, free.correlations, grid.targets, most)
+            self._known = stage.number, part
+            self.work.adopt("shares", shares)
+        known = self._known[1]
+        return known.target, known.interface
 
     def _step(self, target: Correlations, beyond: float, renew: bool) -> np.ndarray:
         """Take a step on the two-point function that aims beyond the target by the debt, which the

@@ -7,7 +7,8 @@ So the interface that was voted for is kept, and moved along its own distance:
 2. Replace the field by the signed distance to the interface, smoothed by a voxel: distances to
    voxels have steps.
 3. Shift it smoothly until the fraction around every voxel is that of the target (`local_offset`),
-   by three voxels at most: where struts get thinner some break. A few steps leave what single
+   by three voxels at most: where struts get thinner some break. Beside known voxels it shifts the
+   less the nearer they are, or interfaces would end in the joint. A few steps leave what single
    windows miss by chance. Sixty of them halve it (.006 of a bone's fraction for .009), and make
    struts so uneven that the bone is two to four times softer.
 4. The same again, of what came out, without smoothing: a second time that rounds thin struts away
@@ -30,7 +31,9 @@ from trabecula.engine.memory import Array, Stage, within
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import distance_transform
 from trabecula.synth.shared.content.fields import FULL, UNIT
+from trabecula.synth.shared.content.joints import find_known
 from trabecula.synth.shared.content.phase_fractions import brightest_voxels
+from trabecula.synth.shared.known_part import move_shares, share_stages
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.texture.joined import StrutField, join_components, join_stages
 from trabecula.synth.texture.local_offset import LocalOffset
@@ -49,6 +52,7 @@ def shape_stages(shape: Sequence[int], *, known: bool, masked: bool) -> tuple[St
         "final low": Array(volume, np.int8) if known else None,
         "final high": Array(volume, np.int8) if known else None,
         "final fractions": Array(shape, np.float32),
+        "shares": Array(shape, np.uint8) if known else None,
         "votes": Array(volume, np.int16),
         "last votes": Array(volume, np.int16),  # of the rounds: the caller has them
     }
@@ -57,7 +61,9 @@ def shape_stages(shape: Sequence[int], *, known: bool, masked: bool) -> tuple[St
         "distance": Array(shape, np.float32),
         "outside": Array(shape, bool),
     }
+    which = {"which are known": Array(shape, bool)}
     return (
+        *(within({**given, **which}, share_stages(shape)) if known else ()),
         Stage("distance", {**given, **distance}),
         *within({**given, "final field": Array(volume, np.int8)}, join_stages(shape)),
     )
@@ -86,7 +92,7 @@ def settle_shape(
     unit : float
         Steps of the field in a voxel.
     """
-    most, joins = _MOST * unit * UNIT, 0
+    most, joins, shares = _MOST * unit * UNIT, 0, _shares(region)
     for number, steps in enumerate(_STEPS):
         field = _rounded(votes)
         if struts is not None:
@@ -95,7 +101,7 @@ def settle_shape(
         if number == 0:
             soften(votes[0], region.wraps)
         del field
-        local = LocalOffset.of(region, fractions, _WIDTH)
+        local = LocalOffset.of(region, fractions, _WIDTH, shares)
         for _ in range(steps):
             local.step(votes[0], low=-most, high=most)
         local.add_to(votes[0])
@@ -105,6 +111,13 @@ def settle_shape(
         joins += join_components(field, region, replace(struts, radius=_THIN))
         for_slabs(lambda a, b: np.greater(field[0, a:b], 0, out=upper[a:b]), len(upper))
     return upper, {"joins": joins}
+
+
+def _shares(region: Region) -> np.ndarray | None:
+    """Return the part of a shift that every voxel takes; None where nothing is known."""
+    if region.free is None or region.low is None or region.high is None:
+        return None
+    return move_shares(find_known(region.free, region.low, region.high), region.wraps)
 
 
 def _rounded(votes: np.ndarray) -> np.ndarray:

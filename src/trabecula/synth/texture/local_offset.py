@@ -32,6 +32,7 @@ _MOST = 40.0 * UNIT  # by which an offset moves in one step
 _HASTE = 1.5  # of a step; from 3 on they would swing
 _SLOWLY = 0.5  # the same, where the next votes answer to it
 _FEWEST = 1 / 50  # of the voxels count as near an interface at least, so that some can come
+_SHARES, _WHOLE = np.float32(64), np.float32(1)  # `known_part.move_shares`
 _AGAIN = 0.5  # of the last step: what varies within a window is slow to come
 
 
@@ -53,6 +54,8 @@ class LocalOffset:
         At the middles of the blocks, in votes.
     missing : (z, y, x) float32
         Fraction that was missing around every block at the last step.
+    shares : (Z, Y, X) uint8, optional
+        The part of the offset that every voxel takes, in 64ths. Default: all of it.
     """
 
     region: Region
@@ -62,6 +65,7 @@ class LocalOffset:
     counted: np.ndarray
     offset: np.ndarray
     missing: np.ndarray
+    shares: np.ndarray | None = None
     _step: np.ndarray = field(init=False)
     _blocks: np.ndarray = field(init=False)  # of the window around every block
 
@@ -71,7 +75,13 @@ class LocalOffset:
         self._step = np.zeros_like(self.offset)
 
     @classmethod
-    def of(cls, region: Region, fractions: np.ndarray, width: int) -> LocalOffset:
+    def of(
+        cls,
+        region: Region,
+        fractions: np.ndarray,
+        width: int,
+        shares: np.ndarray | None = None,
+    ) -> LocalOffset:
         """Prepare windows of about `width` voxels for fractions (z, y, x) float32 of the region's
         beginning; beyond their end the last ones count.
         """
@@ -91,7 +101,7 @@ class LocalOffset:
         sums = [
             window_sums(part, blocks, region.wraps).astype(np.int64) for part in (wanted, counted)
         ]
-        return cls(region, edge, blocks, sums[0], sums[1], zeros, zeros.copy())
+        return cls(region, edge, blocks, sums[0], sums[1], zeros, zeros.copy(), shares)
 
     @property
     def mean(self) -> float:
@@ -132,6 +142,7 @@ class LocalOffset:
             _tally(
                 votes,
                 free,
+                self._taken,
                 offset,
                 self.edge,
                 wraps,
@@ -168,6 +179,11 @@ class LocalOffset:
         self._step = moved - self.offset
         self.offset = moved
 
+    @property
+    def _taken(self) -> np.ndarray:
+        """Return the shares, for the kernels: an empty array means all of the offset."""
+        return np.empty((0, 0, 0), np.uint8) if self.shares is None else self.shares
+
     def add_to(self, votes: np.ndarray) -> None:
         """Add the offset to votes (Z, Y, X) int16, or to an int8 field, in place."""
         wraps = np.array(self.region.wraps)
@@ -175,7 +191,7 @@ class LocalOffset:
         most = np.iinfo(votes.dtype).max
 
         def work(start: int, stop: int) -> None:
-            _add(votes, self.offset, self.edge, wraps, scale, most, start, stop)
+            _add(votes, self._taken, self.offset, self.edge, wraps, scale, most, start, stop)
 
         for_slabs(work, len(self.offset))
 
@@ -237,8 +253,10 @@ def _fill_row(offset, edge, wraps, z, y, line, before, behind, share, row):
 
 
 @kernel
-def _tally(votes, free, offset, edge, wraps, scale, inside, near, start, stop):
-    """Count the voxels of every block that are inside with the offset, and near the interface."""
+def _tally(votes, free, shares, offset, edge, wraps, scale, inside, near, start, stop):
+    """Count the voxels of every block that are inside with their shares of the offset, and near the
+    interface.
+    """
     depth, height, width = votes.shape
     line, row = np.empty(offset.shape[2], np.float32), np.empty(width, np.float32)
     before, behind, share = _places_between(width, edge, len(line), wraps[2])
@@ -251,7 +269,8 @@ def _tally(votes, free, offset, edge, wraps, scale, inside, near, start, stop):
                 for x in range(k * edge, min((k + 1) * edge, width)):
                     if free.size and not free[z, y, x]:
                         continue
-                    value = np.float32(np.int32(votes[z, y, x]) * scale) + row[x]
+                    part = np.float32(shares[z, y, x]) / _SHARES if shares.size else _WHOLE
+                    value = np.float32(np.int32(votes[z, y, x]) * scale) + row[x] * part
                     held += np.int32(value > 0)
                     close += np.int32(-limit <= value <= limit)
                 inside[z // edge, y // edge, k] += held
@@ -259,8 +278,8 @@ def _tally(votes, free, offset, edge, wraps, scale, inside, near, start, stop):
 
 
 @kernel
-def _add(votes, offset, edge, wraps, scale, most, start, stop):
-    """Add the offset to some layers of blocks."""
+def _add(votes, shares, offset, edge, wraps, scale, most, start, stop):
+    """Add the shares of the offset to some layers of blocks."""
     depth, height, width = votes.shape
     line, row = np.empty(offset.shape[2], np.float32), np.empty(width, np.float32)
     before, behind, share = _places_between(width, edge, len(line), wraps[2])
@@ -268,6 +287,7 @@ def _add(votes, offset, edge, wraps, scale, most, start, stop):
         for y in range(height):
             _fill_row(offset, edge, wraps, z, y, line, before, behind, share, row)
             for x in range(width):
-                by = np.int32(np.rint(row[x]))
+                part = np.float32(shares[z, y, x]) / _SHARES if shares.size else _WHOLE
+                by = np.int32(np.rint(row[x] * part))
                 value = np.int32(votes[z, y, x]) + (by + scale // 2) // scale
                 votes[z, y, x] = min(max(value, -most), most)

@@ -44,6 +44,7 @@ from trabecula.synth.shared.content.kinds import (
     content_of,
 )
 from trabecula.synth.shared.frames import frames_of
+from trabecula.synth.shared.known_part import has_room_beside
 from trabecula.synth.shared.matching.principal_components import basis_bytes
 from trabecula.synth.shared.matching.region import Region, has_cube, regions_of
 from trabecula.synth.shared.matching.sources import Stack
@@ -476,20 +477,23 @@ class TextureModel(Model):
     def _novel_rounds(
         self, request: Request, around: Sequence[Region] = ()
     ) -> novel_layout.NovelRounds:
-        top, beside = self._top_for(request), request.fixed is not None
+        top, steps = self._top_for(request), novel_layout.takes_steps(request, self.config.layout)
         start = replace(self.start, level=top)
-        schedule = _schedule(self.config, self.novelty, start, beside=beside)
+        schedule = _schedule(self.config, self.novelty, start, beside=not steps)
         aims, slices = self.aims[: top + 1], self.slices
         if request.target:
             aims, slices = self._at_target(request)
         return novel_layout.NovelRounds(aims, slices, schedule, request, self.config, around)
 
     def _top_for(self, request: Request) -> int:
-        """Return the level that a request is laid out on. What rounds from noise make on level 2
-        does not meet known voxels.
+        """Return the level that a request is laid out on. Without steps on the two-point function
+        what rounds from noise make on level 2 does not meet known voxels.
         """
-        beside = request.fixed is not None and not is_sliced(self.config.layout)
-        return min(self.top, 1) if beside else self.top
+        if request.known is None or is_sliced(self.config.layout):
+            return self.top
+        steps = novel_layout.takes_steps(request, self.config.layout)
+        roomy = steps and has_room(request.shape, self.top)
+        return self.top if roomy and has_room_beside(request.known, self.top) else min(self.top, 1)
 
     def _at_target(self, request: Request) -> tuple[list[novel_layout.Aims], SliceTarget | None]:
         """Return the targets of material with a target porosity: those of the exemplar's denser or
@@ -590,7 +594,7 @@ class TextureModel(Model):
         if request.known is None:
             return whole or not request.target
         laid_out = whole and not request.target and self.painted is None
-        return laid_out and novel_layout.has_room_beside(request.known, top)
+        return laid_out and has_room_beside(request.known, top)
 
     def _check_request(self, request: Request) -> None:
         super()._check_request(request)

@@ -65,6 +65,19 @@ class Region:
             shape, self.wraps, extend(self.free, 0), extend(self.low, -127), extend(self.high, 127)
         )
 
+    def first_planes(self, count: int) -> Region:
+        """Return the first planes of a region, which do not wrap unless they are all."""
+        if count == self.shape[0]:
+            return self
+        low, high = self.low, self.high
+        return Region(
+            (count, *self.shape[1:]),
+            (False, *self.wraps[1:]),
+            None if self.free is None else self.free[:count],
+            None if low is None else low[:, :count],
+            None if high is None else high[:, :count],
+        )
+
     def continue_on_torus(self, shape: tuple[int, ...]) -> Region:
         """Continue the region to a torus of `shape`; added voxels are free."""
 

@@ -21,10 +21,6 @@ from trabecula.synth.shared.matching.rounds import cast_votes, match_votes
 from trabecula.synth.shared.slabs import for_plane_groups, make_by_slabs
 from trabecula.synth.shared.statistics.euler import euler_densities
 
-BESIDE = 0.35
-"""The power beside known voxels, if nothing else is said: where votes disagree little is left of
-them, and the surroundings decide."""
-
 _POWERS = tuple(2 ** (n / 2) for n in range(-3, 4))
 _PLAIN = 3  # the place of the power 1
 _ENOUGH, _LEAST = 1 << 20, 16  # voxels to try a power on, and planes at least
@@ -67,17 +63,22 @@ def power_for(
     """Return the power, .35 .. 2.8, that leaves Euler densities nearest to `euler` (2C,): from 1 on
     the next one is tried for as long as that is nearer.
 
-    It is tried on some planes of the votes, on a torus as good as others.
+    It is tried on some planes of the votes, on a torus as good as others; beside known voxels on as
+    many as hold enough free ones, whose Euler densities count.
     """
-    planes = _planes_to_try(grid.region.shape)
-    field, targets = grid.candidates.stack.field, grid.targets
+    whole, targets = grid.region, grid.targets
+    planes = _planes_to_try(whole.shape, whole.free)
+    region = whole.first_planes(planes)
     apart: dict[int, float] = {}
 
     def try_power(place: int) -> float:
         if place not in apart:
-            voting = raise_distances(field, _POWERS[place])
+            power = _POWERS[place]
+            voting = raise_distances(grid.candidates.stack.field, power)
             votes = cast_votes(grid, match, weights, trim=trim, field=voting, planes=planes)
-            made = euler_densities([match_votes(grid.region, votes, targets)])
+            if region.low is not None:
+                lower_votes(votes, power)
+            made = euler_densities([match_votes(region, votes, targets)], within=region.free)
             apart[place] = float(np.abs(made - euler).sum())
         return apart[place]
 
@@ -89,13 +90,21 @@ def power_for(
     return _POWERS[best]
 
 
-def power_stages(volume: Sequence[int]) -> tuple[Stage, ...]:
+def power_stages(volume: Sequence[int], *, known: bool) -> tuple[Stage, ...]:
     """Declare the arrays of `power_for` for a field (C, Z, Y, X)."""
     channels, *shape = volume
-    tried = (channels, _planes_to_try(shape), *shape[1:])
+    tried = (channels, shape[0] if known else _planes_to_try(shape), *shape[1:])
     arrays = {"tried": Array(tried, np.int16), "made of it": Array(tried, np.int8)}
     return (Stage("try powers", arrays, prod(tried[1:])),)
 
 
-def _planes_to_try(shape: Sequence[int]) -> int:
-    return min(shape[0], max(_LEAST, -(-_ENOUGH // (shape[1] * shape[2]))))
+def _planes_to_try(shape: Sequence[int], free: np.ndarray | None = None) -> int:
+    """Count the first planes that hold enough free voxels."""
+    if free is None:
+        return min(shape[0], max(_LEAST, -(-_ENOUGH // (shape[1] * shape[2]))))
+    found = 0
+    for number, plane in enumerate(free, 1):
+        found += int(np.count_nonzero(plane))
+        if found >= _ENOUGH and number >= _LEAST:
+            return number
+    return shape[0]

@@ -11,15 +11,19 @@ from trabecula.measure.configurations import count_cubes, cube_codes, cube_euler
 _FACES = 6  # neighbours, of either phase
 
 
-def euler_densities(fields: Sequence[np.ndarray]) -> np.ndarray:
+def euler_densities(
+    fields: Sequence[np.ndarray], *, within: np.ndarray | None = None
+) -> np.ndarray:
     """Return the Euler number per voxel of what is above 0 in every channel of fields (C, Z, Y, X)
     int8 together, then of what is not, (2C,); neighbours share a face.
+
+    Where `within` (Z, Y, X) bool is given, of cubes of 2 x 2 x 2 voxels that lie in it.
     """
     counts = sum(
-        np.array([count_cubes(channel > 0, None) for channel in field]) for field in fields
+        np.array([count_cubes(channel > 0, within) for channel in field]) for field in fields
     )
     assert isinstance(counts, np.ndarray)  # there is a field
-    return _numbers(counts) / counts[0].sum()
+    return _numbers(counts) / max(1, counts[0].sum())
 
 
 def euler_slopes(fields: Sequence[np.ndarray], weights: Sequence[np.ndarray]) -> np.ndarray:

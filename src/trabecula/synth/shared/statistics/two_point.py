@@ -176,12 +176,12 @@ def reweight_target(
     """
     curves = []
     for curve, have, want in zip(target.curves, own, asked, strict=True):
-        m, w = _mean(have, softness), _mean(want, softness)
+        m, w = soft_mean(have, softness), soft_mean(want, softness)
         curves.append((curve - m * m) * ((w - w * w) / max(m - m * m, 1e-30)) + w * w)
     return replace(target, curves=np.array(curves))
 
 
-def _mean(histogram: Histogram, softness: float) -> float:
+def soft_mean(histogram: Histogram, softness: float) -> float:
     """Return the mean of the soft indicator of a field with this histogram."""
     counts = np.diff(histogram.up_to, prepend=0)
     soft = soft_indicator(histogram.values, softness).astype(np.float64)
