@@ -103,17 +103,18 @@ def test_memory_is_forecast(model, request_, made):
 
 def test_where_little_is_free_known_voxels_are_met_from_level_1_on():
     """Without steps what rounds from noise make on level 2 did not meet them: joints showed."""
-    cells = np.indices((96, 96, 96)) // 12
-    board = tb.Image((cells.sum(axis=0) % 2).astype(np.uint8), "labels")
-    piece = tb.crop(board, 64)
+    shape = (128, 64, 64)
+    cells = (np.indices((128, 96, 96)) // 12).sum(axis=0) % 2
+    board = tb.crop(tb.Image(cells.astype(np.uint8), "labels"), 96)
+    piece = tb.Image(np.ascontiguousarray(cells[:, :64, :64], np.uint8), "labels")
     models = {layout: tb.method("texture", layout=layout).fit(board) for layout in WHOLE}
     for planes, layout, levels, steps in (
-        (24, "rounds", [2, 1, 0, 0], True),
-        (46, "rounds", [1, 0, 0], False),
-        (24, "structure", [1, 0, 0], False),
+        (48, "rounds", [2, 1, 0, 0], True),
+        (92, "rounds", [1, 0, 0], False),
+        (48, "structure", [1, 0, 0], False),
     ):
         model = models[layout]
-        beside = tb.Request((64,) * 3, fixed=piece, known=known_planes((64,) * 3, planes))
+        beside = tb.Request(shape, fixed=piece, known=known_planes(shape, planes))
         rounds = model._novel_rounds(beside, model._regions_around(beside))
         assert [part.level for part in rounds.schedule] == levels
         assert any(part.steps for part in rounds.schedule) == steps
