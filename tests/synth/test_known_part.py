@@ -66,17 +66,19 @@ def test_where_nothing_is_known_the_target_stays(field, target, histograms):
 
 @pytest.mark.parametrize("planes", [6, 12])
 def test_pairs_of_known_voxels_keep_their_own(planes, target, histograms, field):
-    """Of neighbours along x: known ones by brute force, the others by their share."""
-    known, place = first_planes(planes), 1  # of pairs that are one voxel apart along x
+    """Of neighbours along z: known ones by brute force, the others by their share."""
+    known, pairs = first_planes(planes), TorusPairs.of(SHAPE, target)
+    _, y, x = pairs.reach
+    place = pairs.places[1, y, x]  # of pairs that are one voxel apart along z
     denser = np.clip(field.astype(np.int16) + 20, -127, 127).astype(np.int8)
     found = target_beside(target, histograms, known, denser).curves[0]
     soft = np.where(known, Soft.of(denser[0], SOFT).planes(0, SHAPE[0]), 0)
     free, own = soft_mean(histograms[0], SOFT), float(soft[known].mean())
-    both, curve = np.mean(known & np.roll(known, 1, 2)), target.curves[0, place]
+    both, curve = np.mean(known & np.roll(known, 1, 0)), target.curves[0, place]
     one = 2 * (known.mean() - both)
     covariance = (curve - free**2) / (free - free**2)
     between = covariance * np.sqrt((free - free**2) * (own - own**2)) + own * free
-    held = np.mean(soft * np.roll(soft, 1, 2))
+    held = np.mean(soft * np.roll(soft, 1, 0))
     wanted = held + one * between + (1 - both - one) * curve
     assert found[place] == pytest.approx(wanted, abs=1e-4)
 
