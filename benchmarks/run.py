@@ -35,6 +35,7 @@ import gan_paper
 import gan_weights
 import graded
 import graded_bone
+import graded_materials
 import image
 import image_cells
 import image_figures
@@ -149,6 +150,7 @@ CASES: dict[str, Callable[[], None]] = {
     "graded_cells": graded.graded_cells,
     "graded_section": graded.graded_section,
     "graded_bone": graded.graded_bone,
+    "graded_materials": graded_materials.graded_materials,
     "graded_bone_fields": graded_bone.graded_bone_fields,
     "graded_bone_copies": graded_bone.graded_bone_copies,
     "graded_bone_stiffness": graded_bone.graded_bone_stiffness,

@@ -232,7 +232,7 @@ def test_a_graded_result_is_not_made_of_moved_patches(bone, monkeypatch):
         {"volume_fraction": fields.ramp((72, 40, 40), start=0.12, end=0.3)},
     )
 
-    def split(votes, region, fractions, struts, *, unit):
+    def split(votes, region, fractions, struts, *, unit, window, smooth):
         return brightest_voxels(votes[0], round(float(fractions.sum())), None), {"joins": 0}
 
     def shares(method, target):

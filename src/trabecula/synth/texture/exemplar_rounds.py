@@ -51,7 +51,7 @@ from trabecula.synth.texture.graded import (
     shift_stages,
 )
 from trabecula.synth.texture.joined import StrutField, join_components, join_stages
-from trabecula.synth.texture.local_offset import LocalOffset
+from trabecula.synth.texture.local_offset import NARROWEST, LocalOffset
 from trabecula.synth.texture.turned_guide import guide_count, guide_turned
 
 _FARTHEST = 45.0 * UNIT  # votes by which a field is shifted at most: one and a half voxels
@@ -194,6 +194,8 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         One a level of the exemplar, where the solid is to be one component.
     copies : TurnedExemplars, optional
         What the levels are of, where the request has an orientation or a size.
+    window : int
+        Voxels a side of the windows whose fraction is held, where the request has a target.
 
     Attributes
     ----------
@@ -217,8 +219,9 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         fractions: list[np.ndarray],
         struts: Sequence[StrutField | None] = (),
         copies: TurnedExemplars | None = None,
+        window: int = NARROWEST,
     ) -> None:
-        self.copies = copies
+        self.copies, self.window = copies, window
         self.levels, self.regions = levels, regions
         self.request, self.config = request, config
         self.distances = distances
@@ -263,7 +266,7 @@ class ExemplarRounds(CoarseToFine[GridStage]):
         grid = Grid.over(self.regions[index], candidates)
         fractions, local = None, None
         if self.graded and config.grading == "feedback":
-            grid, local = lead_grid(grid, self.fractions[index], index)
+            grid, local = lead_grid(grid, self.fractions[index], index, self.window)
         elif self.graded:
             grid, fractions = guide_grid(grid, self.fractions[index], index)
         if self.copies is not None:

@@ -5,7 +5,8 @@ So the interface that was voted for is kept, and moved along its own distance:
 
 1. Join the components of the solid (`joined`), at a strut's thickness.
 2. Replace the field by the signed distance to the interface, smoothed by a voxel: distances to
-   voxels have steps.
+   voxels have steps. Not where bodies are hardly wider than that: a coarse scan of a cathode lost a
+   fifth of its interface.
 3. Shift it smoothly until the fraction around every voxel is that of the target (`local_offset`),
    by three voxels at most: where struts get thinner some break. Beside known voxels it shifts the
    less the nearer they are, or interfaces would end in the joint. A few steps leave what single
@@ -36,9 +37,8 @@ from trabecula.synth.shared.content.phase_fractions import brightest_voxels
 from trabecula.synth.shared.known_part import move_shares, share_stages
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.texture.joined import StrutField, join_components, join_stages
-from trabecula.synth.texture.local_offset import LocalOffset
+from trabecula.synth.texture.local_offset import NARROWEST, LocalOffset
 
-_WIDTH = 20  # voxels a side of a window in which the fraction is to be that of the target
 _STEPS = (12, 12)  # of the shift in every pass: more meet single windows, by struts that vary
 _MOST = 3.0  # voxels by which an interface moves in one pass
 _THIN = 0.9  # voxels, radius of the last joins
@@ -76,6 +76,8 @@ def settle_shape(
     struts: StrutField | None,
     *,
     unit: float,
+    window: int = NARROWEST,
+    smooth: bool = True,
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Return the voxels of the upper phase, (Z, Y, X) bool, and a report.
 
@@ -91,6 +93,10 @@ def settle_shape(
         How to join the solid; None where it need not be one component.
     unit : float
         Steps of the field in a voxel.
+    window : int
+        Voxels a side of the windows in which the fraction is to be that of the target.
+    smooth : bool
+        Smooth the distance first.
     """
     most, joins, shares = _MOST * unit * UNIT, 0, _shares(region)
     for number, steps in enumerate(_STEPS):
@@ -98,10 +104,10 @@ def settle_shape(
         if struts is not None:
             joins += join_components(field, region, struts)
         votes = _distances(field, region, unit)
-        if number == 0:
+        if number == 0 and smooth:
             soften(votes[0], region.wraps)
         del field
-        local = LocalOffset.of(region, fractions, _WIDTH, shares)
+        local = LocalOffset.of(region, fractions, window, shares)
         for _ in range(steps):
             local.step(votes[0], low=-most, high=most)
         local.add_to(votes[0])

@@ -42,7 +42,6 @@ of the way to 0 and to 1."""
 
 # voxels a side of a window: on the finest level, and on any at least
 _WINDOW, _LEAST = 24, 6
-_LOCAL = 20  # of the windows whose fraction is fed back, on the finest level
 _LEAD = 0.5  # of what is missing around a place, by which its guide moves after a vote
 _FARTHEST = 0.25  # fraction by which a guide moves at most
 _WIDE = 64  # where the target is one number: fractions vary within as they do in the exemplar
@@ -296,11 +295,13 @@ def guide_grid(grid: Grid, fractions: np.ndarray, index: int) -> tuple[Grid, Fra
     return replace(grid, targets=targets, guide=target.guide(grid)), target
 
 
-def lead_grid(grid: Grid, fractions: np.ndarray, index: int) -> tuple[Grid, LocalOffset]:
+def lead_grid(
+    grid: Grid, fractions: np.ndarray, index: int, window: int
+) -> tuple[Grid, LocalOffset]:
     """Return a grid of level `index` whose search is guided, and the offset that meets the target
-    of its field; fractions are those of that level.
+    of its field; fractions are those of that level, the `window` is so wide on the finest one.
     """
-    width = max(_LEAST, _LOCAL // 2**index)
+    width = max(_LEAST, window // 2**index)
     local = LocalOffset.of(grid.region, fractions, width)
     own, mean = phase_fraction(grid.candidates.stack), local.mean
     targets = tuple(Histogram.reweight(h, mean / own, (1 - mean) / (1 - own)) for h in grid.targets)

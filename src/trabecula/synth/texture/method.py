@@ -110,12 +110,14 @@ from trabecula.synth.texture.grey_levels import (
     trial_bytes,
 )
 from trabecula.synth.texture.joined import StrutField, strut_field
+from trabecula.synth.texture.local_offset import NARROWEST, window_of
 from trabecula.synth.texture.scan_phases import ScanPhases, find_phases
 
 # of the windows that tell dense places from sparse ones: structure lengths, voxels at least, and
 # so many of them along the exemplar's shortest side
 _WINDOW, _NARROWEST, _WINDOWS = 2, 8, 6
 _LEAST_LEFT = 1e-6  # of a phase
+_FINE = 2.0  # voxels of the structure's length below which a graded result is not smoothed
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _OF_A_COPY = 14  # bytes of an exemplar's voxel in a turned copy, which holds half of them
 _EACH, _CHANNEL = 52, 14  # bytes of a voxel, and of its channels, while grey values are learnt
@@ -440,6 +442,7 @@ class TextureModel(Model):
                     fractions=self._fractions(request, used),
                     struts=self._struts if request.target else (),
                     copies=self.copies,
+                    window=window_of(self._length) if request.target else NARROWEST,
                 )
             )
             if energies:
@@ -530,9 +533,8 @@ class TextureModel(Model):
 
     def _window(self, level: int) -> int:
         """Return the width of the windows that tell dense places from sparse ones."""
-        length = structure_length(self.exemplars)
         shortest = min(min(exemplar.shape) for exemplar in self.exemplars)
-        width = min(max(_WINDOW * length, _NARROWEST), shortest / _WINDOWS)
+        width = min(max(_WINDOW * self._length, _NARROWEST), shortest / _WINDOWS)
         return max(round(width / 2**level), 2)
 
     def _regions_around(self, request: Request) -> list[Region]:
@@ -570,8 +572,15 @@ class TextureModel(Model):
             fractions,
             self._struts[0] if self._struts else None,
             unit=FULL / self.config.clip,
+            window=window_of(self._length),
+            smooth=self._length >= _FINE,
         )
         return self.content.from_upper(upper, request), report
+
+    @cached_property
+    def _length(self) -> float:
+        """Measure the structure's length, voxels."""
+        return structure_length(self.exemplars)
 
     def _fractions(self, request: Request, count: int) -> list[np.ndarray]:
         """Return the target's volume fractions on each level; empty where there is none."""
