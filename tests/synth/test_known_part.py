@@ -102,7 +102,7 @@ def test_known_interfaces_count_as_they_are(field):
     np.testing.assert_allclose(whole, share)
 
 
-def test_moves_are_whole_from_four_voxels_on():
+def test_moves_are_whole_from_four_voxels_beyond_the_known_ones_on():
     shares = move_shares(first_planes(8), (False, False, False))
     assert shares[:, 3, 3].tolist()[6:14] == [0, 0, 8, 24, 40, 56, 64, 64]
     around = move_shares(first_planes(8), (True, False, False))

@@ -29,7 +29,7 @@ from trabecula.synth.shared.statistics.torus_steps import TorusPairs, torus_step
 from trabecula.synth.shared.statistics.two_point import Correlations, Soft, soft_mean
 
 _NEAR = 4.0
-"""Voxels from a known one on that a move is whole."""
+"""Voxels beyond the known ones from where a move is whole."""
 
 _PARTS = 64  # of a move
 
@@ -161,7 +161,7 @@ def interface_beside(share: np.ndarray, known: np.ndarray, middle: np.ndarray) -
 
 def move_shares(known: np.ndarray, wraps: Sequence[bool]) -> np.ndarray:
     """Return the part of a move that every voxel may take, (Z, Y, X) uint8 in 64ths: nothing where
-    it is known, all of it from 4 voxels on.
+    it is known, all of it from 4 voxels beyond that on.
     """
     distance = distance_transform(complement(known), periodic=tuple(wraps))
 
