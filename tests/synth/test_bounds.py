@@ -8,10 +8,9 @@ from trabecula.synth.shared.content.bounds import distance_bounds
 SHAPE = (1, 1, 24)
 
 
-def bounds(values, known, *, thin=False):
-    low, high = distance_bounds(
-        np.reshape(values, SHAPE), np.reshape(known, SHAPE), [1], (1.0,) * 3, thin=thin
-    )
+def bounds(values, known, *, thin=False, least=0.7):
+    shaped = np.reshape(values, SHAPE), np.reshape(known, SHAPE)
+    low, high = distance_bounds(*shaped, [1], (1.0,) * 3, thin=thin, least=least)
     return low[0, 0, 0], high[0, 0, 0]
 
 
@@ -33,6 +32,11 @@ def test_beside_unknown_voxels_it_is_at_least_seven_tenths_of_the_farthest(line)
     np.testing.assert_allclose(high[12:16], np.arange(8, 12) + 0.5)
     np.testing.assert_allclose(low[14:16], 0.7 * high[14:16])
     assert (low[10:16] >= 0.7 * high[10:16] - 1e-6).all()
+
+
+def test_without_a_least_the_nearest_unknown_voxel_bounds_it(line):
+    low, _ = bounds(*line, least=0.0)
+    np.testing.assert_allclose(low[10:16], [5.5, 4.5, 3.5, 2.5, 1.5, 0.5])
 
 
 def test_the_other_side_is_bounded_alike(line):

@@ -101,10 +101,14 @@ class TextureConfig:
 
     vote_power: float = 0.0
     """With novelty: the power to which the finest level's distances are raised before they are
-    averaged (every level's beside known voxels), 0 .. 4. Below 1 thin joins outlive a vote, above 1
-    they are smoothed away. 0 stands for the power that leaves Euler numbers nearest to the
-    exemplar's, and for .35 beside known voxels, which then meet what is made. Recipes and models
-    that do not name it: 1."""
+    averaged, 0 .. 4. Below 1 thin joins outlive a vote, above 1 they are smoothed away. 0 stands
+    for the power that leaves Euler numbers nearest to the exemplar's. Recipes and models that do
+    not name it: 1."""
+
+    beyond_known: float = 0.7
+    """Beside known voxels: how far a known voxel of labels is taken to be from an interface beyond
+    the joint, at least, over the farthest that it may be, 0 .. 1. With 0 nothing is taken, and
+    bodies end in the joint. Recipes and models that do not name it: 0."""
 
     field: str = "distance"
     """The field of labels: "distance", the clipped signed distance of every phase, or "indicator",
@@ -212,6 +216,7 @@ class TextureConfig:
         """Complete the settings of a recipe or a model that is older than some of them."""
         before = {"layout": "coarse", "iso_value": "middle", "step_share": 0.5}
         later = {"grading": "shift", "connected": "none", "scan_phases": "two", "vote_power": 1.0}
+        later |= {"beyond_known": 0.0}
         known = {name: value for name, value in settings.items() if name not in _DROPPED}
         return {**before, **later, **known}
 
@@ -296,6 +301,7 @@ _RANGES = {
     "index_penalty": (0, 1),
     "robustness": (0, 2),
     "vote_power": (0, 4),
+    "beyond_known": (0, 1),
     "nearest": (1, 100),
     "gradient": (0, 100),
     "increase": (0, 1),

@@ -28,6 +28,7 @@ from trabecula.exemplar.target import check_target_porosity
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.shared import novel_layout
 from trabecula.synth.shared.coarse_to_fine import levels_for, levels_that_fit
+from trabecula.synth.shared.content.bounds import Bounds
 from trabecula.synth.shared.content.fields import (
     FULL,
     channels_of,
@@ -434,7 +435,7 @@ class TextureModel(Model):
             votes, energies = make_from_patches(
                 ExemplarRounds(
                     self.levels[:used],
-                    regions_of(request, used, self.content.bounds(request), self._quantise),
+                    regions_of(request, used, self._bounds(request), self._quantise),
                     request,
                     self.config,
                     distances=self.content.distances,
@@ -537,11 +538,15 @@ class TextureModel(Model):
         width = min(max(_WINDOW * self._length, _NARROWEST), shortest / _WINDOWS)
         return max(round(width / 2**level), 2)
 
+    def _bounds(self, request: Request) -> Bounds | None:
+        """Return the bounds that known voxels set to the field."""
+        return self.content.bounds(request, least=self.config.beyond_known)
+
     def _regions_around(self, request: Request) -> list[Region]:
         """Return the regions of new material beside known voxels, finest first; none where nothing
         is known. A mask cuts the result in the end.
         """
-        bounds = self.content.bounds(request)
+        bounds = self._bounds(request)
         if bounds is None:
             return []
         levels = self._top_for(request) + 1
@@ -563,7 +568,7 @@ class TextureModel(Model):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Return the result's values where a target holds around every place, and a report."""
         assert isinstance(self.content, Labels)
-        bounds = self.content.bounds(request)
+        bounds = self._bounds(request)
         region = regions_of(request, 1, bounds, self._quantise)[0]
         fractions = target_fractions(request, self.content.present, self.content.empty)
         upper, report = settle_shape(

@@ -14,9 +14,7 @@ Bounds = tuple[np.ndarray, np.ndarray]
 """The least and the most, (C, Z, Y, X) float32, that the field may be."""
 
 _ANY = 1e4  # farther than any distance
-# of the farthest that an interface may be, and the nearest that it is taken to be: in a block, and
-# where slices are known
-_LEAST, _OF_SLICES = 0.7, 0.5
+_OF_SLICES = 0.5  # of the farthest that an interface may be, and the nearest where slices are known
 
 
 def distance_bounds(
@@ -26,17 +24,19 @@ def distance_bounds(
     spacing: tuple[float, ...],
     *,
     thin: bool,
+    least: float = 0.0,
 ) -> Bounds:
     """Bound the signed distances of some labels (one a channel) where `values` (Z, Y, X) are known.
 
     A known voxel is no farther from an interface than from the nearest known voxel of the other
-    side, and taken to be no nearer than .7 times as far: nothing ends just where knowledge does.
-    Nor is it nearer than that voxel or the nearest unknown one. With `thin`, where slices are
-    known, it is no nearer than half as far.
+    side, and no nearer than from that or from the nearest unknown one. Nothing ends just where
+    knowledge does: so it is taken to be no nearer than `least` times as far either. With `thin`,
+    where slices are known, it is no nearer than half as far, and nothing more.
     """
     unknown = None if thin else distance_transform(known, spacing=spacing)
+    nearest = _OF_SLICES if thin else least
     low, high = _empty_bounds(len(labels), known)
-    for label, least, most in zip(labels, low, high, strict=True):
+    for label, lowest, highest in zip(labels, low, high, strict=True):
         inside = make_by_slabs(
             lambda a, b, label=label: values[a:b] == label,  # type: ignore[misc]
             known.shape,
@@ -51,9 +51,11 @@ def distance_bounds(
             own: tuple[np.ndarray, ...] = (within, without),
         ) -> Bounds:
             there = unknown if unknown is None else unknown[start:stop]
-            return _between(inside[start:stop], own[0][start:stop], own[1][start:stop], there)
+            return _between(
+                inside[start:stop], own[0][start:stop], own[1][start:stop], there, nearest
+            )
 
-        _fill(least, most, known, bounds)
+        _fill(lowest, highest, known, bounds)
         del inside, within, without, bounds  # before the next are made
     return low, high
 
@@ -115,11 +117,15 @@ def _fill(
 
 
 def _between(
-    inside: np.ndarray, within: np.ndarray, without: np.ndarray, unknown: np.ndarray | None
+    inside: np.ndarray,
+    within: np.ndarray,
+    without: np.ndarray,
+    unknown: np.ndarray | None,
+    least: float,
 ) -> Bounds:
     own = np.where(inside, within, without)
     far = np.maximum(own - 0.5, 0.1)
-    near = np.maximum((_LEAST if unknown is not None else _OF_SLICES) * far, 0.1)
+    near = np.maximum(least * far, 0.1)
     if unknown is not None:
         near = np.maximum(near, np.minimum(own, unknown) - 0.5)
     return np.where(inside, near, -far), np.where(inside, far, -near)

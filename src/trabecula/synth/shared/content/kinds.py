@@ -87,9 +87,9 @@ class Content(ABC):
         """Return the fields (C, Z, Y, X) float32 of an image; of a picture (C, 1, Y, X)."""
 
     @abstractmethod
-    def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
+    def bounds(self, request: Request, *, thin: bool = False, least: float = 0.0) -> Bounds | None:
         """Return the bounds that a request's known voxels set to the field; `thin` where the field
-        is one of planes, as known slices are.
+        is one of planes, as known slices are, `least` as of `bounds.distance_bounds`.
         """
 
     def target_histograms(
@@ -128,7 +128,7 @@ class Labels(Content):
     def fields(self, image: Image) -> np.ndarray:
         return _deep(phase_fields(image, self.present, unit=self.unit)[0])
 
-    def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
+    def bounds(self, request: Request, *, thin: bool = False, least: float = 0.0) -> Bounds | None:
         """Bound the distance of a known voxel to an interface: at least that to the nearest unknown
         voxel, or to a known interface; in the plane of a slice the measured one.
         """
@@ -137,7 +137,7 @@ class Labels(Content):
         unit = mean_edge(request.fixed.spacing) if self.unit is None else self.unit
         spacing = tuple(edge / unit for edge in request.fixed.spacing)
         return distance_bounds(
-            request.fixed.values, request.known, self._channels(), spacing, thin=thin
+            request.fixed.values, request.known, self._channels(), spacing, thin=thin, least=least
         )
 
     def _channels(self) -> tuple[int, ...]:
@@ -242,7 +242,7 @@ class Indicators(Labels):
         ]
         return _deep(np.stack([gaussian(channel, _BLUR) for channel in sharp]))
 
-    def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
+    def bounds(self, request: Request, *, thin: bool = False, least: float = 0.0) -> Bounds | None:
         if request.fixed is None or request.known is None:
             return None
         return sign_bounds(request.fixed.values, request.known, self._channels())
@@ -268,7 +268,7 @@ class Values(Content):
     def fields(self, image: Image) -> np.ndarray:
         return _deep(self._fields(image.values))
 
-    def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
+    def bounds(self, request: Request, *, thin: bool = False, least: float = 0.0) -> Bounds | None:
         if request.fixed is None or request.known is None:
             return None
         return value_bounds(self._fields, request.fixed.values, request.known)
@@ -300,7 +300,7 @@ class FeaturedValues(Values):
         far = self.feature.distance(image.values, self.kind) * np.float32(FULL / self.rim)
         return np.concatenate([super().fields(image), _deep(far[None])])
 
-    def bounds(self, request: Request, *, thin: bool = False) -> Bounds | None:
+    def bounds(self, request: Request, *, thin: bool = False, least: float = 0.0) -> Bounds | None:
         if request.fixed is None or request.known is None:
             return None
         return value_bounds(self._fields, request.fixed.values, request.known, features=1)
