@@ -31,7 +31,8 @@ from trabecula.synth.shared.statistics.two_point import Correlations, Soft, soft
 _NEAR = 4.0
 """Voxels beyond the known ones from where a move is whole."""
 
-_PARTS = 64  # of a move
+WHOLE = 64
+"""The share of a whole move."""
 
 _ENOUGH = 0.3
 """The share of free voxels from which on they are held to the two-point function of the material:
@@ -166,8 +167,8 @@ def move_shares(known: np.ndarray, wraps: Sequence[bool]) -> np.ndarray:
     distance = distance_transform(complement(known), periodic=tuple(wraps))
 
     def shares(start: int, stop: int) -> np.ndarray:
-        part = (distance[start:stop] - np.float32(0.5)) * np.float32(_PARTS / _NEAR)
-        return np.rint(np.clip(part, 0, _PARTS))
+        part = (distance[start:stop] - np.float32(0.5)) * np.float32(WHOLE / _NEAR)
+        return np.rint(np.clip(part, 0, WHOLE))
 
     return make_by_slabs(shares, known.shape, np.uint8)
 
@@ -203,4 +204,4 @@ def _hold(votes, field, shares, start, stop):
                 for x in range(votes.shape[3]):
                     before = np.int32(field[c, z, y, x]) * UNIT
                     moved = shares[z, y, x] * (np.int32(votes[c, z, y, x]) - before)
-                    votes[c, z, y, x] = before + moved // _PARTS
+                    votes[c, z, y, x] = before + moved // WHOLE

@@ -94,8 +94,8 @@ def passes(
     Less than full novelty lets more neighbourhoods of the exemplar into the layout, and after
     sliced rounds widens those of finer levels. `by_leaves`, from noise, bodies come nearer to the
     exemplar's: coarse levels have more rounds with a better search, and the finest one begins with
-    wide neighbourhoods. `beside` known voxels there are no steps: a hole is too small to have the
-    two-point function of the material, and interfaces would be cut into combs for it.
+    wide neighbourhoods. In a hole `beside` known voxels there are no steps: it is too small to
+    have the two-point function of the material, and interfaces would be cut into combs for it.
     """
     moved = round(_MOVED * (1 - novelty))
     whole, sliced = is_whole(layout), is_sliced(layout)

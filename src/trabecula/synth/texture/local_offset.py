@@ -22,6 +22,7 @@ from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.content.fields import UNIT
+from trabecula.synth.shared.known_part import WHOLE
 from trabecula.synth.shared.matching.region import Region
 
 PARTS = 4096
@@ -37,14 +38,15 @@ _MOST = 40.0 * UNIT  # by which an offset moves in one step
 _HASTE = 1.5  # of a step; from 3 on they would swing
 _SLOWLY = 0.5  # the same, where the next votes answer to it
 _FEWEST = 1 / 50  # of the voxels count as near an interface at least, so that some can come
-_SHARES, _WHOLE = np.float32(64), np.float32(1)  # `known_part.move_shares`
+_SHARES, _ALL = np.float32(WHOLE), np.float32(1)
 _AGAIN = 0.5  # of the last step: what varies within a window is slow to come
 
 
 def window_of(length: float) -> int:
-    """Return the width of the windows whose fraction is held for a structure's length, voxels: so
-    wide that those of the exemplar differ by .03 to .08. In windows of 20 voxels, which held a part
-    of a particle, particles were cut up (NMC had 1.7 times its interface, now .96).
+    """Return the width of the windows whose fraction is held for a structure's length, voxels.
+
+    In windows of 20 voxels, which held a part of a particle, particles were cut up (NMC had 1.7
+    times its interface, now .96).
     """
     return _BLOCKS * round(min(max(_LENGTHS * length - _LESS, NARROWEST), _WIDEST) / _BLOCKS)
 
@@ -282,7 +284,7 @@ def _tally(votes, free, shares, offset, edge, wraps, scale, inside, near, start,
                 for x in range(k * edge, min((k + 1) * edge, width)):
                     if free.size and not free[z, y, x]:
                         continue
-                    part = np.float32(shares[z, y, x]) / _SHARES if shares.size else _WHOLE
+                    part = np.float32(shares[z, y, x]) / _SHARES if shares.size else _ALL
                     value = np.float32(np.int32(votes[z, y, x]) * scale) + row[x] * part
                     held += np.int32(value > 0)
                     close += np.int32(-limit <= value <= limit)
@@ -300,7 +302,7 @@ def _add(votes, shares, offset, edge, wraps, scale, most, start, stop):
         for y in range(height):
             _fill_row(offset, edge, wraps, z, y, line, before, behind, share, row)
             for x in range(width):
-                part = np.float32(shares[z, y, x]) / _SHARES if shares.size else _WHOLE
+                part = np.float32(shares[z, y, x]) / _SHARES if shares.size else _ALL
                 by = np.int32(np.rint(row[x] * part))
                 value = np.int32(votes[z, y, x]) + (by + scale // 2) // scale
                 votes[z, y, x] = min(max(value, -most), most)
