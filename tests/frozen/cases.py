@@ -314,6 +314,12 @@ def _texture_graded() -> tb.Image:
     return model("texture").generate(SHAPE, seed=6, target={"porosity": ramp(0.7, 0.9)})
 
 
+@case("texture-graded-feedback")
+def _texture_graded_feedback() -> tb.Image:
+    learned = tb.method("texture", **QUICK["texture"], grading="feedback").fit(bone(24))
+    return learned.generate(SHAPE, seed=6, target={"porosity": ramp(0.7, 0.9)})
+
+
 @case("texture-graded-shift")
 def _texture_graded_shift() -> tb.Image:
     settings = {**QUICK["texture"], "grading": "shift", "connected": "none"}

@@ -15,6 +15,7 @@ from trabecula.engine import memmap
 from trabecula.engine.cluster import ReferencedFiles
 from trabecula.engine.parallel import threads
 from trabecula.synth.shared.box_sums import window_sums
+from trabecula.synth.shared.held_fractions import fractions_by_level
 from trabecula.synth.shared.matching.grid import Grid, exact_search
 from trabecula.synth.shared.matching.neighbour_index import build_index
 from trabecula.synth.shared.matching.neighbour_search import (
@@ -28,7 +29,6 @@ from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.texture.energy import energy, mismatch, total
 from trabecula.synth.texture.graded import (
     average_target,
-    fractions_by_level,
     guide_grid,
     settle_fractions,
     target_fractions,

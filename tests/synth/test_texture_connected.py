@@ -11,11 +11,11 @@ from trabecula.core.recipe import digest
 from trabecula.measure import label_components
 from trabecula.measure.smooth import gaussian
 from trabecula.synth.shared.content.fields import UNIT
+from trabecula.synth.shared.local_offset import LocalOffset
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.final_shape import settle_shape, soften
 from trabecula.synth.texture.joined import StrutField, join_components
-from trabecula.synth.texture.local_offset import LocalOffset
 
 STRUTS = StrutField(upper=True, radius=1.6, unit=30.0)
 

@@ -5,8 +5,8 @@ import pytest
 from scipy import ndimage
 
 import trabecula as tb
+from trabecula.synth.shared.local_offset import NARROWEST, window_of
 from trabecula.synth.shared.novel_schedule import structure_length
-from trabecula.synth.texture.local_offset import NARROWEST, window_of
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,11 @@ from trabecula.errors import RequestError
 from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.content.phase_fractions import brightest_voxels
+from trabecula.synth.shared.held_fractions import carry_over
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.novel_layout import with_histograms
 from trabecula.synth.shared.statistics.two_point import soft_indicator
-from trabecula.synth.texture.graded import FractionTarget, carry_over, settle_fractions
+from trabecula.synth.texture.graded import FractionTarget, settle_fractions
 from trabecula.synth.texture.method import Texture
 from trabecula.testing.peak import peak_bytes
 

@@ -110,7 +110,7 @@ def test_what_cannot_be_turned_is_refused():
     with pytest.raises(RequestError, match="honoured for volumes"):
         picture.generate((24, 24), target={"size": 2.0})
     shifted = tb.method("texture", grading="shift").fit(rods())
-    with pytest.raises(RequestError, match="needs grading=feedback"):
+    with pytest.raises(RequestError, match="needs grading=held"):
         shifted.generate(24, target={"orientation": (0, 0, 1)})
 
 

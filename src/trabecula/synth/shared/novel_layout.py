@@ -28,7 +28,9 @@ from trabecula.engine.memory import Array, Stage, Workspace, within
 from trabecula.synth.shared.coarse_to_fine import CoarseToFine, RoundStage
 from trabecula.synth.shared.content.fields import noise, votes_of
 from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.held_fractions import HeldFractions, hold_field
 from trabecula.synth.shared.known_part import KnownPart, hold_move, is_a_sample, known_stages
+from trabecula.synth.shared.local_offset import LocalOffset
 from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_matches, targets_of
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import cast_votes, match_votes, refine_field
@@ -248,6 +250,8 @@ class PassStage(RoundStage):
         Key of its random numbers.
     last : bool
         Whether no pass follows.
+    offset : LocalOffset, optional
+        By which the field is held to fractions, on coarse levels.
     """
 
     number: int
@@ -258,18 +262,22 @@ class PassStage(RoundStage):
     euler: np.ndarray | None
     stage: np.uint64
     last: bool
+    offset: LocalOffset | None = None
 
 
 class NovelRounds(CoarseToFine[Any]):
     """A run from noise, on the torus; the state of the layout is its votes.
 
     Known voxels keep their field on every level, so what is made beside them is matched to the
-    exemplar together with them. `around` are the regions that hold them, finest first.
+    exemplar together with them. `around` are the regions that hold them, finest first. `held` are
+    the target's fractions around every place, finest first; not beside known voxels.
 
     Attributes
     ----------
     debt : (C, bins)
         Misfit of the two-point function that the next steps make up for.
+    graded : bool
+        Whether the target varies from place to place.
     on_torus : bool
         Whether steps are those on a torus; else the older ones, which know open faces and holes, or
         none.
@@ -283,8 +291,10 @@ class NovelRounds(CoarseToFine[Any]):
         request: Request,
         config: NovelSettings,
         around: Sequence[Region] = (),
+        held: Sequence[HeldFractions] = (),
     ) -> None:
         self.aims, self.slices = aims, slices
+        self.held, self.graded = held, any(map(np.ndim, request.target.values()))
         self.schedule = schedule
         self.request, self.config = request, config
         self.top = len(aims) - 1
@@ -300,6 +310,7 @@ class NovelRounds(CoarseToFine[Any]):
         self.rounds = 0 if slices is None else _SLICED[config.layout][0]
         self.on_torus = is_whole(config.layout) and takes_steps(request, config.layout)
         self._known: tuple[int, KnownPart] | None = None  # of a pass
+        self._graded: tuple[int, Correlations] | None = None  # of a pass
 
     @property
     def names(self) -> list[str]:
@@ -307,6 +318,7 @@ class NovelRounds(CoarseToFine[Any]):
         so that unfinished runs of then begin anew.
         """
         kind = {"structure": "new", "coarse": "novel"}.get(self.config.layout, "noise")
+        kind = f"{kind} held" if self.graded else kind
         return [f"{kind} layout", *(f"{kind} pass {n}" for n in range(len(self.schedule)))]
 
     @property
@@ -327,6 +339,11 @@ class NovelRounds(CoarseToFine[Any]):
         region, candidates = self.regions[part.level], self.candidates[number]
         targets = targets_of(region, self.aims[part.level].histograms, width=candidates.basis.width)
         grid = Grid.over(region, candidates, targets)
+        offset = None
+        if self.graded:
+            held = self.held[part.level]
+            offset = held.offset(region.shape)
+            grid = held.guide(grid, offset)
         later = self.schedule[place:]
         del self.regions[later[0].level + 1 if later else 0 :]
         aims = self.aims[part.level]
@@ -342,6 +359,8 @@ class NovelRounds(CoarseToFine[Any]):
             aims.euler,
             key(self.request.seed, f"novel/pass {number}"),
             number == len(self.schedule) - 1,
+            # on the finest level little would be left to vote for what was shifted
+            offset if part.level else None,
         )
 
     def _layout_stage(self, name: str) -> NovelLayoutStage:
@@ -389,6 +408,10 @@ class NovelRounds(CoarseToFine[Any]):
             mapped=mapped,
         )
         target, periodic = self.aims[part.level].correlations, self.request.periodic
+        if self.graded:
+            guide = Array((*level.grids[0], 1), np.int16, axis=-4)
+            fractions = Array(shape, np.float32)
+            level = replace(level, guides=1, held={"guide": guide, "fractions": fractions})
         if part.steps:
             step = self._step_stages(level.covered.shape, target, periodic)
             if known:
@@ -439,7 +462,9 @@ class NovelRounds(CoarseToFine[Any]):
         self.open_region("match", stage.region, moving)
 
     def _open(self, stage: PassStage, name: str) -> None:
-        self.open_region(name, stage.grid.region, {"active0": stage.grid.active})
+        guide = stage.grid.guide
+        guides = {} if guide is None else {"guide": guide}
+        self.open_region(name, stage.grid.region, {"active0": stage.grid.active, **guides})
 
     def _make_votes(self, stage: NovelLayoutStage, *, matched: bool = True) -> None:
         """Make the votes those of the field that they make, with the histogram or without."""
@@ -530,6 +555,12 @@ class NovelRounds(CoarseToFine[Any]):
         work.adopt("votes", votes)
         self.join_votes(grid.region)
         self.match_field(grid.region, grid.targets)
+        self._hold_fractions(stage)
+
+    def _hold_fractions(self, stage: PassStage) -> None:
+        """Hold the field to the target's fractions, on coarse levels."""
+        if stage.offset is not None:
+            hold_field(self.work["field"], stage.offset)
 
     def correct(self, stage: PassStage, number: int) -> None:
         """Take steps on the two-point function, the last with one on long waves."""
@@ -550,17 +581,24 @@ class NovelRounds(CoarseToFine[Any]):
                 shorten_move(work["field"], votes, interface)
             if "shares" in work:
                 hold_move(votes, work["field"], work["shares"])
-            if step == part.steps - 1:
+            if step == part.steps - 1 and not self.graded:
                 work.enter("waves")
                 _hold_waves(votes, stage.target, grid.region, grid.targets)
             del votes
             self.match_field(grid.region, grid.targets)
+            self._hold_fractions(stage)
 
     def _aim_of(self, stage: PassStage) -> tuple[Correlations, np.ndarray | None]:
         """Return the target of steps, and the most interface that they may leave; beside known
-        voxels those of all voxels together.
+        voxels those of all voxels together, where fractions are held those of such material.
         """
         grid = stage.grid
+        if self.graded:
+            if self._graded is None or self._graded[0] != stage.number:
+                level = stage.part.level
+                aim = self.held[level].aim(stage.target, grid.targets, grid.region.shape)
+                self._graded = stage.number, aim
+            return self._graded[1], stage.interface
         if grid.region.low is None or not self.on_torus:
             return stage.target, stage.interface
         if self._known is None or self._known[0] != stage.number:
@@ -605,10 +643,17 @@ class NovelRounds(CoarseToFine[Any]):
 
 
 def make_novel(rounds: NovelRounds) -> np.ndarray:
-    """Return the last votes (C, Z, Y, X) int16 on the torus."""
+    """Return the last votes (C, Z, Y, X) int16 on the torus; where fractions are held, those of the
+    last field.
+    """
     rounds.run()
-    rounds.work.enter("deliver")
-    return rounds.work.take("votes")
+    work = rounds.work
+    if rounds.graded:
+        work.enter("match")
+        work.release("votes")
+        work.adopt("votes", votes_of(work["field"]))
+    work.enter("deliver")
+    return work.take("votes")
 
 
 def _hold_waves(

@@ -58,11 +58,12 @@ class TextureConfig:
     rounds: tuple[int, ...] = (4, 6, 8, 12)
     """Rounds on the other levels, finest first, each 1 .. 100; the last counts for the rest."""
 
-    grading: str = "feedback"
-    """How a target that holds around every place is met (`graded`). "feedback": the search is led
-    towards denser or sparser places of the exemplar by what is missing, and interfaces of the last
-    result are moved by two voxels at most. "shift": by shifts of the field alone, as in recipes and
-    models that do not name it."""
+    grading: str = "held"
+    """How a target that holds around every place is met. "held": new material, held to it on every
+    coarse level (`held_fractions`); from patches, where nothing new can be laid out, as "feedback".
+    "feedback": from patches, the search is led towards denser or sparser places of the exemplar by
+    what is missing, and interfaces of the last result are moved. "shift": by shifts of the field
+    alone, as in recipes and models that do not name it."""
 
     connected: str = "auto"
     """Whether the solid becomes one component where a target holds around every place: "solid", or
@@ -254,7 +255,7 @@ _CHOICES: dict[str, tuple[Any, ...]] = {
     "search": ("coherent", "leaves", "exact"),
     "layout": ("rounds", "structure", "coarse"),
     "scan_phases": ("found", "two"),
-    "grading": ("feedback", "shift"),
+    "grading": ("held", "feedback", "shift"),
     "connected": ("auto", "solid", "none"),
     "orientations": ("none", "mirrors", "upright", "all"),
 }

@@ -18,6 +18,7 @@ from trabecula.core.seeds import key
 from trabecula.engine.memory import Stage, Workspace, within
 from trabecula.synth.shared.coarse_to_fine import CoarseToFine, RoundStage, at_level, trim_schedule
 from trabecula.synth.shared.content.fields import UNIT
+from trabecula.synth.shared.local_offset import NARROWEST, LocalOffset
 from trabecula.synth.shared.matching.grid import (
     Grid,
     coherent_search,
@@ -51,7 +52,6 @@ from trabecula.synth.texture.graded import (
     shift_stages,
 )
 from trabecula.synth.texture.joined import StrutField, join_components, join_stages
-from trabecula.synth.texture.local_offset import NARROWEST, LocalOffset
 from trabecula.synth.texture.turned_guide import guide_count, guide_turned
 
 _FARTHEST = 45.0 * UNIT  # votes by which a field is shifted at most: one and a half voxels
@@ -265,7 +265,7 @@ class ExemplarRounds(CoarseToFine[GridStage]):
             candidates = replace(candidates, step=1)
         grid = Grid.over(self.regions[index], candidates)
         fractions, local = None, None
-        if self.graded and config.grading == "feedback":
+        if self.graded and config.grading != "shift":
             grid, local = lead_grid(grid, self.fractions[index], index, self.window)
         elif self.graded:
             grid, fractions = guide_grid(grid, self.fractions[index], index)

@@ -1,7 +1,9 @@
 """The last votes made a result whose volume fractions follow a target, in one component.
 
-Votes blur where neighbourhoods do not agree, and a shift of such a field brings up grain and combs.
-So the interface that was voted for is kept, and moved along its own distance:
+New material has been held to its fractions on coarse levels (`held_fractions`): its field is joined
+and shifted by little (`settle_field`). From patches more is left to do (`settle_shape`): votes blur
+where neighbourhoods do not agree, and a shift of such a field brings up grain and combs. So the
+interface that was voted for is kept, and moved along its own distance:
 
 1. Join the components of the solid (`joined`), at a strut's thickness.
 2. Replace the field by the signed distance to the interface, smoothed by a voxel: distances to
@@ -20,7 +22,7 @@ So the interface that was voted for is kept, and moved along its own distance:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -35,11 +37,11 @@ from trabecula.synth.shared.content.fields import FULL, UNIT
 from trabecula.synth.shared.content.joints import find_known
 from trabecula.synth.shared.content.phase_fractions import brightest_voxels
 from trabecula.synth.shared.known_part import move_shares, share_stages
+from trabecula.synth.shared.local_offset import HALF_A_VOXEL, NARROWEST, LocalOffset
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.texture.joined import StrutField, join_components, join_stages
-from trabecula.synth.texture.local_offset import NARROWEST, LocalOffset
 
-_STEPS = (12, 12)  # of the shift in every pass: more meet single windows, by struts that vary
+_STEPS = 12  # of the shift in every pass: more meet single windows, by struts that vary
 _MOST = 3.0  # voxels by which an interface moves in one pass
 _THIN = 0.9  # voxels, radius of the last joins
 
@@ -99,7 +101,7 @@ def settle_shape(
         Smooth the distance first.
     """
     most, joins, shares = _MOST * unit * UNIT, 0, _shares(region)
-    for number, steps in enumerate(_STEPS):
+    for number in range(2):
         field = _rounded(votes)
         if struts is not None:
             joins += join_components(field, region, struts)
@@ -108,15 +110,57 @@ def settle_shape(
             soften(votes[0], region.wraps)
         del field
         local = LocalOffset.of(region, fractions, window, shares)
-        for _ in range(steps):
-            local.step(votes[0], low=-most, high=most)
-        local.add_to(votes[0])
-    upper = brightest_voxels(votes[0], _count_of(fractions, region), region.free)
+        local.shift(votes[0], steps=_STEPS, most=most)
+    upper, last = _split(votes, region, fractions, struts)
+    return upper, {"joins": joins + last}
+
+
+def settle_field(
+    votes: np.ndarray,
+    region: Region,
+    fractions: np.ndarray,
+    struts: StrutField | None,
+    *,
+    unit: float,
+    window: int,
+    place: Callable[[np.ndarray], dict[str, Any]] | None = None,
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Do `settle_shape` on the field itself, where it has been held to its fractions: without
+    distances, in one pass.
+
+    `place` brings small bodies into the votes, and returns what it did.
+    """
+    joins, report = 0, {}
+    if struts is not None:
+        field = _rounded(votes)
+        joins = join_components(field, region, struts)
+        for_slabs(lambda a, b: _write(field, votes, a, b), votes.shape[1])
+        del field
+    local = LocalOffset.of(region, fractions, window, near=HALF_A_VOXEL)
+    local.shift(votes[0], steps=_STEPS, most=_MOST * unit * UNIT)
+    if place is not None:
+        report["small_bodies"] = place(votes)
+    upper, last = _split(votes, region, fractions, struts)
+    return upper, {"joins": joins + last, **report}
+
+
+def _write(field: np.ndarray, votes: np.ndarray, start: int, stop: int) -> None:
+    """Make planes of votes those of a field."""
+    np.multiply(field[:, start:stop], np.int16(UNIT), out=votes[:, start:stop], dtype=np.int16)
+
+
+def _split(
+    votes: np.ndarray, region: Region, fractions: np.ndarray, struts: StrutField | None
+) -> tuple[np.ndarray, int]:
+    """Return the upper phase of votes, with the fractions' mean to the voxel, its solid joined
+    where it is to be one component; and the number of joins.
+    """
+    upper, joins = brightest_voxels(votes[0], _count_of(fractions, region), region.free), 0
     if struts is not None:
         field = _signed(upper, votes)
-        joins += join_components(field, region, replace(struts, radius=_THIN))
+        joins = join_components(field, region, replace(struts, radius=_THIN))
         for_slabs(lambda a, b: np.greater(field[0, a:b], 0, out=upper[a:b]), len(upper))
-    return upper, {"joins": joins}
+    return upper, joins
 
 
 def _shares(region: Region) -> np.ndarray | None:

@@ -12,7 +12,7 @@ exemplar's fraction, its fraction on that level) and (1, 1).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,27 +26,28 @@ from trabecula.engine.memory import Array, Stage, Workspace, within
 from trabecula.engine.parallel import for_slabs, sum_slabs, thread_count
 from trabecula.synth.shared.box_sums import (
     replace_by_window_sums,
-    window_sums,
     window_sums_of_planes,
 )
 from trabecula.synth.shared.content.histogram import Histogram
-from trabecula.synth.shared.matching.grid import Grid, append_guide
+from trabecula.synth.shared.held_fractions import (
+    PULL,
+    add_fraction_feature,
+    fraction_feature,
+    phase_fraction,
+    window_at,
+)
+from trabecula.synth.shared.local_offset import PARTS, LocalOffset
+from trabecula.synth.shared.matching.grid import Grid
 from trabecula.synth.shared.matching.region import Region
-from trabecula.synth.shared.matching.sources import Candidates, Stack
-from trabecula.synth.shared.pyramid import halve
-from trabecula.synth.texture.local_offset import PARTS, LocalOffset
 
 BEYOND = 0.5
 """Reach of the shift outside the exemplar's own porosities, with struts that still look like it:
 of the way to 0 and to 1."""
 
-# voxels a side of a window: on the finest level, and on any at least
-_WINDOW, _LEAST = 24, 6
+_WINDOW = 24  # voxels a side of a window on the finest level
 _LEAD = 0.5  # of what is missing around a place, by which its guide moves after a vote
 _FARTHEST = 0.25  # fraction by which a guide moves at most
 _WIDE = 64  # where the target is one number: fractions vary within as they do in the exemplar
-_UNIT = 4096  # parts of a fraction, in whole numbers
-_PULL = 16_000  # features between a fraction of 0 and one of 1
 _NEAR = 32  # values of the field that count as near the interface: about a voxel
 _MOST = 40  # by which a field is shifted in one step
 _HASTE = 1.5  # of a step; from 3 on they would swing
@@ -90,37 +91,6 @@ def _porosity_on(request: Request, planes: slice) -> float | np.ndarray:
     return 0.0 if requested is None else requested
 
 
-def fractions_by_level(fractions: np.ndarray, stacks: Sequence[Stack]) -> list[np.ndarray]:
-    """Return fractions at every voxel at the resolution of each stack, finest first."""
-    own = phase_fraction(stacks[0])
-    found: list[np.ndarray] = []
-    for stack in stacks:
-        fractions = halve(fractions[None])[0] if found else fractions
-        found.append(carry_over(fractions, own, phase_fraction(stack)))
-    return found
-
-
-def carry_over(fractions: np.ndarray, own: float, there: float) -> np.ndarray:
-    """Convert fractions to a level where the exemplar's own fraction is `there`."""
-    carried = memmap.empty(fractions.shape, np.float32)
-
-    def work(start: int, stop: int) -> None:
-        for z in range(start, stop):
-            carried[z] = np.interp(fractions[z], (0.0, own, 1.0), (0.0, there, 1.0))
-
-    for_slabs(work, len(fractions))
-    return carried
-
-
-def phase_fraction(stack: Stack) -> float:
-    """Return the fraction of the phase in the exemplars' volumes."""
-    inside = sum(
-        np.count_nonzero(stack.field[0, start : start + z, :y, :x] > 0)
-        for start, (z, y, x) in zip(stack.starts, stack.sides, strict=True)
-    )
-    return float(inside / np.prod(stack.sides.astype(np.int64), axis=1).sum())
-
-
 def average_target(request: Request) -> Request:
     """Return the request with one number as its target: the mean of its field."""
     if not any(map(np.ndim, request.target.values())):
@@ -143,7 +113,7 @@ class FractionTarget:
 
     region: Region
     wanted: np.ndarray
-    """(Z, Y, X) int32: sums of the target over the windows, in `_UNIT`."""
+    """(Z, Y, X) int32: sums of the target over the windows, in `PARTS`."""
     counted: np.ndarray
     """(Z, Y, X) int32: voxels of the windows that count."""
     width: int
@@ -167,11 +137,11 @@ class FractionTarget:
 
         def whole(start: int, stop: int) -> np.ndarray:
             near = fractions[np.ix_(places[0][start:stop], *places[1:])]
-            return np.rint(near * np.float32(_UNIT)).astype(np.int32) * counts(start, stop)
+            return np.rint(near * np.float32(PARTS)).astype(np.int32) * counts(start, stop)
 
         wanted, requested = window_sums_of_planes(whole, region.shape, width, wraps)
         counted, voxels = window_sums_of_planes(counts, region.shape, width, wraps)
-        return cls(region, wanted, counted, width, float(requested / max(1, voxels) / _UNIT))
+        return cls(region, wanted, counted, width, float(requested / max(1, voxels) / PARTS))
 
     def guide(self, grid: Grid) -> np.ndarray:
         """Return the target around the middle of every site, as a feature (sz, sy, sx, 1) int16."""
@@ -185,7 +155,7 @@ class FractionTarget:
         def work(start: int, stop: int) -> None:
             for sz in range(start, stop):
                 mesh = (at[0][sz], *np.ix_(*at[1:]))
-                guide[sz, ..., 0] = _feature(self.wanted[mesh], self.counted[mesh])
+                guide[sz, ..., 0] = fraction_feature(self.wanted[mesh], self.counted[mesh])
 
         for_slabs(work, len(guide))
         return guide
@@ -256,7 +226,7 @@ def fraction_arrays(
     of a `FractionTarget` of so many voxels.
     """
     guide = {"guide": Array((*sites, 1 + more), np.int16, axis=-4)}
-    if grading == "feedback":
+    if grading != "shift":
         return guide
     sums = Array(shape, np.int32)
     return {"wanted": sums, "counted": sums, **guide}
@@ -287,7 +257,7 @@ def guide_grid(grid: Grid, fractions: np.ndarray, index: int) -> tuple[Grid, Fra
     even = not sum_slabs(
         lambda a, b: np.count_nonzero(fractions[a:b] != fractions[0, 0, 0]), len(fractions)
     )
-    width = max(_LEAST, (_WIDE if even else _WINDOW) // 2**index)
+    width = window_at(_WIDE if even else _WINDOW, index)
     target = FractionTarget.of(grid.region, fractions, width)
     own, mean = phase_fraction(grid.candidates.stack), float(target.mean)
     targets = tuple(Histogram.reweight(h, mean / own, (1 - mean) / (1 - own)) for h in grid.targets)
@@ -301,7 +271,7 @@ def lead_grid(
     """Return a grid of level `index` whose search is guided, and the offset that meets the target
     of its field; fractions are those of that level, the `window` is so wide on the finest one.
     """
-    width = max(_LEAST, window // 2**index)
+    width = window_at(window, index)
     local = LocalOffset.of(grid.region, fractions, width)
     own, mean = phase_fraction(grid.candidates.stack), local.mean
     targets = tuple(Histogram.reweight(h, mean / own, (1 - mean) / (1 - own)) for h in grid.targets)
@@ -321,49 +291,18 @@ def lead_guide(grid: Grid, local: LocalOffset, *, first: bool = False) -> None:
         (np.arange(count) * step + w // 2) % side
         for count, step, w, side in zip(grid.shape, steps, box, grid.region.shape, strict=True)
     ]
-    at, guide, far = local.at(places), grid.guide, round(_FARTHEST * _PULL)
+    at, guide, far = local.at(places), grid.guide, round(_FARTHEST * PULL)
     assert guide is not None
-    own = local.wanted * _PULL // (np.maximum(local.counted, 1) * PARTS)
-    more = np.rint(local.missing * np.float32(_LEAD * _PULL)).astype(np.int64)
+    own = local.wanted * PULL // (np.maximum(local.counted, 1) * PARTS)
+    more = np.rint(local.missing * np.float32(_LEAD * PULL)).astype(np.int64)
 
     def work(start: int, stop: int) -> None:
         mesh = (at[0][start:stop], *at[1:])
         around = own[mesh]
         asked = around if first else guide[start:stop, ..., 0] + more[mesh]
-        guide[start:stop, ..., 0] = np.clip(np.clip(asked, around - far, around + far), 0, _PULL)
+        guide[start:stop, ..., 0] = np.clip(np.clip(asked, around - far, around + far), 0, PULL)
 
     for_slabs(work, len(guide))
-
-
-def add_fraction_feature(candidates: Candidates, width: int) -> Candidates:
-    """Return candidates with one more feature: the fraction of the phase in the window
-    around them.
-    """
-    stack = candidates.stack
-    inside = np.zeros(stack.field.shape[1:], np.int32)
-    counts = np.zeros_like(inside)
-    for start, (z, y, x) in zip(stack.starts, stack.sides, strict=True):
-        at = (slice(start, start + z), slice(0, y), slice(0, x))
-        inside[at] = window_sums(stack.field[0][at] > 0, width, (False,) * 3)
-        counts[at] = window_sums(np.ones((z, y, x), bool), width, (False,) * 3)
-    middle = [
-        np.arange(count) * stride + w // 2
-        for count, stride, w in zip(
-            candidates.shape, candidates.strides, candidates.basis.box, strict=True
-        )
-    ]
-    mesh = np.ix_(*middle)
-    fraction = _feature(inside[mesh].astype(np.int64) * _UNIT, counts[mesh])
-    return replace(
-        candidates, features=append_guide(candidates.features >> 1, fraction.reshape(-1, 1))
-    )
-
-
-def _feature(sums_: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Convert sums of fractions over windows of some voxels to a feature."""
-    return np.asarray(
-        sums_.astype(np.int64) * _PULL // (np.maximum(counts, 1).astype(np.int64) * _UNIT), np.int16
-    )
 
 
 def settle_fractions(votes: np.ndarray, target: FractionTarget) -> np.ndarray:
@@ -405,11 +344,11 @@ def _settle(field: np.ndarray, target: FractionTarget) -> None:
 
 @kernel
 def _miss(wanted, counted, have, start, stop):
-    """Replace the sums by the fraction that is missing around every voxel, in `_UNIT`."""
+    """Replace the sums by the fraction that is missing around every voxel, in `PARTS`."""
     for z in range(start, stop):
         for y in range(have.shape[1]):
             for x in range(have.shape[2]):
-                missing = wanted[z, y, x] - np.int64(have[z, y, x]) * _UNIT
+                missing = wanted[z, y, x] - np.int64(have[z, y, x]) * PARTS
                 have[z, y, x] = missing // max(counted[z, y, x], 1)
 
 
@@ -423,5 +362,5 @@ def _shift(missing, near, counted, shift):
             # Where no interface is near there is nothing to shift: 1 in 50 voxels at least, so that
             # some can come.
             slope = max(near[y, x], counted[y, x] / 50.0) / (2 * _NEAR + 1)
-            step = _HASTE * (missing[y, x] / _UNIT) / slope if slope > 0.0 else 0.0
+            step = _HASTE * (missing[y, x] / PARTS) / slope if slope > 0.0 else 0.0
             shift[y, x] = np.int16(np.rint(min(max(step, -_MOST), _MOST)))

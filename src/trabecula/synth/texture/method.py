@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain
 from typing import Any
 
@@ -45,7 +45,14 @@ from trabecula.synth.shared.content.kinds import (
     content_of,
 )
 from trabecula.synth.shared.frames import frames_of
+from trabecula.synth.shared.held_fractions import (
+    HeldFractions,
+    fractions_by_level,
+    uneven_part,
+    window_at,
+)
 from trabecula.synth.shared.known_part import has_room_beside
+from trabecula.synth.shared.local_offset import NARROWEST, window_of
 from trabecula.synth.shared.matching.principal_components import basis_bytes
 from trabecula.synth.shared.matching.region import Region, has_cube, regions_of
 from trabecula.synth.shared.matching.sources import Stack
@@ -80,7 +87,7 @@ from trabecula.synth.shared.statistics.density_slopes import (
     weight_for,
 )
 from trabecula.synth.shared.statistics.slices import SliceTarget
-from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at
+from trabecula.synth.shared.statistics.two_point import Correlations, correlations_at, soft_mean
 from trabecula.synth.shared.turned_exemplars import (
     DIRECTIONS,
     TurnedExemplars,
@@ -97,12 +104,11 @@ from trabecula.synth.texture.exemplar_rounds import (
     make_from_patches,
     target_of,
 )
-from trabecula.synth.texture.final_shape import settle_shape, shape_stages
+from trabecula.synth.texture.final_shape import settle_field, settle_shape, shape_stages
 from trabecula.synth.texture.graded import (
     BEYOND,
     average_target,
     check_phases,
-    fractions_by_level,
     target_fractions,
 )
 from trabecula.synth.texture.grey_levels import (
@@ -111,7 +117,6 @@ from trabecula.synth.texture.grey_levels import (
     trial_bytes,
 )
 from trabecula.synth.texture.joined import StrutField, strut_field
-from trabecula.synth.texture.local_offset import NARROWEST, window_of
 from trabecula.synth.texture.scan_phases import ScanPhases, find_phases
 
 # of the windows that tell dense places from sparse ones: structure lengths, voxels at least, and
@@ -427,7 +432,9 @@ class TextureModel(Model):
             return values, {"way": _PAINTED, "phases": phases, **made}
         if new:
             votes = novel_layout.make_novel(
-                self._novel_rounds(request, self._regions_around(request))
+                self._novel_rounds(
+                    request, self._regions_around(request), self._held_fractions(request)
+                )
             )
         else:
             used = levels_for(request.shape, len(self.levels), width=max(self.config.neighbourhood))
@@ -449,14 +456,11 @@ class TextureModel(Model):
             if energies:
                 report["levels"] = energies
         votes = fit_to(votes, request.shape)
-        if not new and request.target and self.config.grading == "feedback":
-            values, report["graded"] = self._settle_shape(votes, request)
+        if self._settles(request):
+            values, report["graded"] = self._settle_shape(votes, request, new=new)
             return values, report
         if new and self.small:
-            assert isinstance(self.content, Labels)
-            report["small_bodies"] = settle_phases(
-                votes, self.content, self.small, request, name="texture"
-            )
+            report["small_bodies"] = self._settle_bodies(votes, request)
         if request.target and isinstance(self.content, Labels):
             request = average_target(request)
         if self.novelty and not new:
@@ -479,15 +483,46 @@ class TextureModel(Model):
         return values, {**report, "copies": len(copies.images)}
 
     def _novel_rounds(
-        self, request: Request, around: Sequence[Region] = ()
+        self,
+        request: Request,
+        around: Sequence[Region] = (),
+        held: Sequence[HeldFractions] = (),
     ) -> novel_layout.NovelRounds:
         top, steps = self._top_for(request), novel_layout.takes_steps(request, self.config.layout)
         start = replace(self.start, level=top)
         schedule = _schedule(self.config, self.novelty, start, beside=not steps)
         aims, slices = self.aims[: top + 1], self.slices
         if request.target:
-            aims, slices = self._at_target(request)
-        return novel_layout.NovelRounds(aims, slices, schedule, request, self.config, around)
+            aims, slices = self._at_target(
+                average_target(request) if _is_field(request) else request
+            )
+        return novel_layout.NovelRounds(aims, slices, schedule, request, self.config, around, held)
+
+    def _held_fractions(self, request: Request) -> list[HeldFractions]:
+        """Return the fractions that new material holds around every place, finest first; none where
+        the target is one number.
+        """
+        if not _is_field(request):
+            return []
+        top, mask = self._top_for(request), request.mask
+        found = []
+        for level, fractions in enumerate(self._fractions(request, top + 1)):
+            if level and mask is not None:
+                mask = Region(mask.shape, request.periodic, mask).halve().free
+            aims, width = self.aims[level], window_at(window_of(self._length), level)
+            mean = soft_mean(aims.histograms[0], aims.correlations.softness)
+            uneven = self._uneven[level]
+            found.append(HeldFractions(fractions, width, uneven, mean, request.periodic, mask))
+        return found
+
+    @cached_property
+    def _uneven(self) -> list[np.ndarray]:
+        """Measure what every level loses of its two-point functions where windows are even."""
+        width = window_of(self._length)
+        return [
+            uneven_part(own, aims.correlations, window_at(width, level))
+            for level, (own, aims) in enumerate(zip(self._own, self.aims, strict=False))
+        ]
 
     def _top_for(self, request: Request) -> int:
         """Return the level that a request is laid out on. Without steps on the two-point function
@@ -563,24 +598,37 @@ class TextureModel(Model):
             found[0] = strut_field(self.stacks[0], upper=upper, clip=clip, whole=0.0)
         return found if found[0] is not None else []
 
+    def _settles(self, request: Request) -> bool:
+        """Return whether the last shape is to meet a target around every place."""
+        shifted = self.config.grading == "shift"
+        return bool(request.target) and not shifted and not self._is_one_number(request)
+
+    def _is_one_number(self, request: Request) -> bool:
+        """Return whether a target is met by new material that is alike everywhere."""
+        return self._makes_new(request) and not _is_field(request)
+
     def _settle_shape(
-        self, votes: np.ndarray, request: Request
+        self, votes: np.ndarray, request: Request, *, new: bool
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Return the result's values where a target holds around every place, and a report."""
         assert isinstance(self.content, Labels)
         bounds = self._bounds(request)
         region = regions_of(request, 1, bounds, self._quantise)[0]
         fractions = target_fractions(request, self.content.present, self.content.empty)
-        upper, report = settle_shape(
-            votes,
-            region,
-            fractions,
-            self._struts[0] if self._struts else None,
-            unit=FULL / self.config.clip,
-            window=window_of(self._length),
-            smooth=self._length >= _FINE,
-        )
+        given = votes, region, fractions, self._struts[0] if self._struts else None
+        unit, window = FULL / self.config.clip, window_of(self._length)
+        if new:
+            place = partial(self._settle_bodies, request=average_target(request))
+            upper, report = settle_field(*given, unit=unit, window=window, place=place)
+        else:
+            smooth = self._length >= _FINE
+            upper, report = settle_shape(*given, unit=unit, window=window, smooth=smooth)
         return self.content.from_upper(upper, request), report
+
+    def _settle_bodies(self, votes: np.ndarray, request: Request) -> dict[str, Any]:
+        """Bring small bodies to their numbers, in votes (C, Z, Y, X); return what was done."""
+        assert isinstance(self.content, Labels)
+        return settle_phases(votes, self.content, self.small, request, name="texture")
 
     @cached_property
     def _length(self) -> float:
@@ -601,7 +649,9 @@ class TextureModel(Model):
         if frame_of(request.target):
             return False
         whole = is_whole(self.config.layout)
-        whole = whole and not any(map(np.ndim, request.target.values()))
+        if _is_field(request):
+            held = self.config.grading == "held" and not is_sliced(self.config.layout)
+            whole = whole and held and isinstance(self.content, Labels)
         top = self._top_for(request) if self.painted is None else self.painted.structure.top
         if not top or not has_room(request.shape, top):
             return False
@@ -635,10 +685,8 @@ class TextureModel(Model):
                 f"the target {named} is honoured for labels, the exemplar is of grey values or "
                 "colours: segment it (tb.segment)"
             )
-        if self.config.grading != "feedback":
-            raise RequestError(
-                f"the target {named} needs grading=feedback, it is {self.config.grading}"
-            )
+        if self.config.grading == "shift":
+            raise RequestError(f"the target {named} needs grading=held or feedback, it is shift")
 
     def memory(self, request: Request) -> Mapping[str, int]:
         return forecast(self._stages(request), self._fixed(request)).memory
@@ -693,7 +741,7 @@ class TextureModel(Model):
                     for number, candidates in enumerate(finest)
                 )
             )
-        if not new and request.target and self.config.grading == "feedback":
+        if self._settles(request):
             known = request.fixed is not None
             stages += shape_stages(request.shape, known=known, masked=request.mask is not None)
         last = finest[-1]
@@ -738,6 +786,11 @@ class TextureModel(Model):
         raised = self.stacks[0].field.nbytes if self.top and self.config.vote_power != 1 else 0
         exemplar = fields + held + raised
         return {"interpreter and kernels": _PROCESS, "exemplar": exemplar} | usage
+
+
+def _is_field(request: Request) -> bool:
+    """Return whether a target varies from place to place."""
+    return any(map(np.ndim, request.target.values()))
 
 
 def _schedule(

@@ -28,12 +28,17 @@ from trabecula.synth.shared.matching.region import Region
 PARTS = 4096
 """Of a fraction, in whole numbers."""
 
+HALF_A_VOXEL = 16.0 * UNIT
+"""Votes. Where bodies are one or two voxels wide, most voxels beside an interface are this near to
+it. Those within a whole voxel tell too little of how many a step brings in: steps are twice too
+long and swing."""
+
 NARROWEST = 20
 """Voxels a side of the windows whose fraction is held, at least."""
 
 _LENGTHS, _LESS, _WIDEST = 10, 12, 100  # of the structure's length, less voxels; voxels at most
 _BLOCKS = 5  # of a window along every axis, where it is no narrower than twice that
-_NEAR = 32 * UNIT  # votes that count as near the interface: about a voxel
+_NEAR = 32.0 * UNIT  # votes that count as near the interface: about a voxel
 _MOST = 40.0 * UNIT  # by which an offset moves in one step
 _HASTE = 1.5  # of a step; from 3 on they would swing
 _SLOWLY = 0.5  # the same, where the next votes answer to it
@@ -71,6 +76,8 @@ class LocalOffset:
         Fraction that was missing around every block at the last step.
     shares : (Z, Y, X) uint8, optional
         The part of the offset that every voxel takes, in 64ths. Default: all of it.
+    near : float
+        Votes that count as near the interface.
     """
 
     region: Region
@@ -81,6 +88,7 @@ class LocalOffset:
     offset: np.ndarray
     missing: np.ndarray
     shares: np.ndarray | None = None
+    near: float = _NEAR
     _step: np.ndarray = field(init=False)
     _blocks: np.ndarray = field(init=False)  # of the window around every block
 
@@ -96,6 +104,7 @@ class LocalOffset:
         fractions: np.ndarray,
         width: int,
         shares: np.ndarray | None = None,
+        near: float = _NEAR,
     ) -> LocalOffset:
         """Prepare windows of about `width` voxels for fractions (z, y, x) float32 of the region's
         beginning; beyond their end the last ones count.
@@ -116,7 +125,7 @@ class LocalOffset:
         sums = [
             window_sums(part, blocks, region.wraps).astype(np.int64) for part in (wanted, counted)
         ]
-        return cls(region, edge, blocks, sums[0], sums[1], zeros, zeros.copy(), shares)
+        return cls(region, edge, blocks, sums[0], sums[1], zeros, zeros.copy(), shares, near)
 
     @property
     def mean(self) -> float:
@@ -138,6 +147,15 @@ class LocalOffset:
         """Do `step`, but count without the offset: what votes miss by themselves adds up."""
         inside, near = self._count(votes, np.zeros_like(self.offset))
         self._move(inside, near, low, high, haste=_SLOWLY, again=0.0)
+
+    def shift(self, votes: np.ndarray, *, steps: int, most: float) -> None:
+        """Shift votes (Z, Y, X), int16 or an int8 field, in place by `most` at most: by so many
+        steps from no offset.
+        """
+        self.offset, self._step = np.zeros_like(self.offset), np.zeros_like(self.offset)
+        for _ in range(steps):
+            self.step(votes, low=-most, high=most)
+        self.add_to(votes)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return what the next step starts from."""
@@ -162,6 +180,7 @@ class LocalOffset:
                 self.edge,
                 wraps,
                 scale,
+                np.float32(self.near),
                 tallies[0],
                 tallies[1],
                 start,
@@ -187,7 +206,7 @@ class LocalOffset:
         missing = (self.wanted - inside * PARTS) // counts
         around = window_sums(missing.astype(np.int32), self.width, self.region.wraps)
         self.missing = (around / (self._blocks * float(PARTS))).astype(np.float32)
-        slope = np.maximum(near / counts, _FEWEST) / (2 * _NEAR)
+        slope = np.maximum(near / counts, _FEWEST) / (2 * self.near)
         step = np.clip(haste * self.missing / slope, -_MOST, _MOST)
         self._step = (np.float32(again) * self._step + step).astype(np.float32)
         moved = np.clip(self.offset + self._step, low, high)
@@ -268,14 +287,13 @@ def _fill_row(offset, edge, wraps, z, y, line, before, behind, share, row):
 
 
 @kernel
-def _tally(votes, free, shares, offset, edge, wraps, scale, inside, near, start, stop):
-    """Count the voxels of every block that are inside with their shares of the offset, and near the
-    interface.
+def _tally(votes, free, shares, offset, edge, wraps, scale, limit, inside, near, start, stop):
+    """Count the voxels of every block that are inside with their shares of the offset, and within a
+    limit of the interface.
     """
     depth, height, width = votes.shape
     line, row = np.empty(offset.shape[2], np.float32), np.empty(width, np.float32)
     before, behind, share = _places_between(width, edge, len(line), wraps[2])
-    limit = np.float32(_NEAR)
     for z in range(start * edge, min(stop * edge, depth)):
         for y in range(height):
             _fill_row(offset, edge, wraps, z, y, line, before, behind, share, row)
