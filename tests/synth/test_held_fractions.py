@@ -1,0 +1,153 @@
+"""New material of fractions that vary: what steps aim at, the guide of the search, masks, and how
+stiff bone stays.
+"""
+
+import numpy as np
+import pytest
+
+import trabecula as tb
+from trabecula import fields
+from trabecula.engine.parallel import threads
+from trabecula.measure.smooth import gaussian
+from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.held_fractions import PULL, HeldFractions, hold_field, uneven_part
+from trabecula.synth.shared.matching.grid import Grid
+from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.statistics.density_slopes import density_weights
+from trabecula.synth.shared.statistics.two_point import correlations_of, soft_indicator
+
+SHAPE, SOFTNESS, WIDTH = (40, 36, 44), 48.0, 12
+OPEN = (False, False, False)
+
+
+def wavy(seed=0, sigma=1.5):
+    """Return a smooth field (1, Z, Y, X) int8 of about a third."""
+    field = gaussian(np.random.default_rng(seed).standard_normal(SHAPE), sigma)
+    return np.clip(field / field.std() * 60 - 25, -127, 127).astype(np.int8)[None]
+
+
+def held(fractions, *, uneven=0.0, mean=0.3, mask=None, periodic=OPEN):
+    return HeldFractions(fractions, WIDTH, np.full((1, 1), uneven), mean, periodic, mask)
+
+
+@pytest.mark.parametrize("blocks", [1, 2])
+def test_what_windows_are_of_the_two_point_function(blocks):
+    field = wavy()
+    target = correlations_of([field], softness=SOFTNESS, r_max=6, blocks=blocks)
+    lost = uneven_part([field], target, WIDTH)
+    soft = soft_indicator(field[0], SOFTNESS).astype(float)
+    less = soft - density_weights([field], WIDTH)[0]
+
+    def squares(values):
+        cut = values.reshape(20, 2, 18, 2, 22, 2).mean((1, 3, 5)) if blocks == 2 else values
+        return np.square(cut).mean()
+
+    assert lost.shape == target.curves.shape
+    # pairs of no distance are in the first bin of each direction
+    assert lost[0, 0] == pytest.approx(squares(soft) - squares(less), rel=1e-4)
+    assert lost[0, 0] > 0
+
+
+def test_even_material_loses_nothing():
+    even = np.full(SHAPE, -60, np.int8)
+    even[::2, ::2, ::2] = 60
+    target = correlations_of([even[None]], softness=SOFTNESS, r_max=6)
+    lost = uneven_part([even[None]], target, WIDTH)
+    assert np.abs(lost).max() < 1e-3
+
+
+def test_steps_aim_at_the_fields_own_two_point_function():
+    field = wavy()
+    target = correlations_of([field], softness=SOFTNESS, r_max=6)
+    histograms = (Histogram.of(field[0]),)
+    mean = float(soft_indicator(field[0], SOFTNESS).mean())
+    flat = held(np.full(SHAPE, 0.3, np.float32), mean=mean).aim(target, histograms, SHAPE)
+    assert np.allclose(flat.curves, target.curves, atol=1e-6)
+    ramp = np.ascontiguousarray(np.broadcast_to(np.linspace(0.1, 0.5, 44), SHAPE), np.float32)
+    steep = held(ramp, mean=mean).aim(target, histograms, SHAPE)
+    assert steep.curves[0, 0] - target.curves[0, 0] == pytest.approx(ramp.var(), rel=1e-4)
+    uneven = held(ramp, mean=mean, uneven=0.01).aim(target, histograms, SHAPE)
+    assert np.allclose(steep.curves - uneven.curves, 0.01, atol=1e-6)
+    # outside of a mask nothing is asked for
+    mask = np.zeros(SHAPE, bool)
+    mask[..., 10:34] = True
+    inside = held(np.where(mask, ramp, np.nan), mean=mean, mask=mask)
+    part = inside.aim(target, histograms, SHAPE)
+    about = np.where(mask, ramp - ramp[mask].mean(), 0)
+    assert part.curves[0, 0] - target.curves[0, 0] == pytest.approx(np.square(about).mean(), 1e-3)
+
+
+def test_the_guide_is_the_fraction_around_and_its_mean_where_none_counts():
+    ramp = np.ascontiguousarray(np.broadcast_to(np.linspace(0.1, 0.5, 44), SHAPE), np.float32)
+    mask = np.zeros(SHAPE, bool)
+    mask[:, :, :20] = True
+    asked = held(ramp, mask=mask)
+    model = tb.method("texture").fit(tb.crop(tb.sample("bone"), 32))
+    candidates = model.aims[1].candidates[0]
+    steps, width = candidates.steps, candidates.basis.width
+    sites = tuple(side // step for side, step in zip(SHAPE, steps, strict=True))
+    grid = Grid.over(Region(SHAPE, (True,) * 3), candidates)
+    offset = asked.offset(SHAPE)
+    guided = asked.guide(grid, offset)
+    assert guided.guide is not None and guided.guide.shape == (*grid.shape, 1)
+    assert guided.candidates.features.shape[1] == candidates.features.shape[1] + 1
+    line = guided.guide[sites[0] // 2, sites[1] // 2, :, 0] / PULL
+    at = np.arange(len(line)) * steps[2] + width // 2
+    there, far = (at >= 8) & (at < 12), at >= 36
+    assert np.allclose(line[there], np.linspace(0.1, 0.5, 44)[at[there]], atol=0.03)
+    assert np.allclose(line[far & (at < 44)], ramp[mask].mean(), atol=0.008)
+
+
+def test_a_field_is_held_to_its_fractions_whatever_the_threads():
+    ramp = np.ascontiguousarray(np.broadcast_to(np.linspace(0.2, 0.5, 44), SHAPE), np.float32)
+    asked, results = held(ramp), []
+    for count in (1, 2):
+        field = wavy()
+        with threads(count):
+            hold_field(field, asked.offset(SHAPE))
+        results.append(field)
+    assert np.array_equal(*results)
+
+    def miss(field):
+        inside = tb.Image((field[0] > 0).astype(np.uint8), "labels")
+        windows = fields.windowed(inside, size=WIDTH)["volume_fraction"]
+        line = np.convolve(ramp[0, 0], np.ones(WIDTH) / WIDTH, "valid")
+        return float(np.abs(windows - line).mean())
+
+    assert miss(results[0]) < 0.025 < 0.06 < miss(wavy())
+
+
+@pytest.mark.parametrize("periodic", [OPEN, (True, True, False)])
+def test_a_masked_field_is_met_inside_alone(periodic):
+    exemplar = tb.crop(tb.sample("bone"), 48)
+    mask = np.zeros((48, 48, 64), bool)
+    mask[8:40, 8:40] = True
+    ramp = np.ascontiguousarray(np.broadcast_to(np.linspace(0.1, 0.35, 64), mask.shape))
+    target = {"volume_fraction": np.where(mask, ramp, 0.9).astype(np.float32)}
+    made = tb.method("texture").fit(exemplar)
+    made = made.generate(mask.shape, seed=1, target=target, mask=mask, periodic=periodic)
+    solid = made.values > 0
+    assert not solid[~mask].any() and tb.measure.components(made) == 1
+    assert solid[mask].mean() == pytest.approx(ramp[mask].mean(), abs=0.004)
+    halves = [solid[8:40, 8:40, part].mean() for part in (slice(0, 32), slice(32, 64))]
+    wanted = [ramp[8:40, 8:40, part].mean() for part in (slice(0, 32), slice(32, 64))]
+    assert np.allclose(halves, wanted, atol=0.02)
+
+
+@pytest.mark.whole
+def test_graded_bone_stays_as_stiff_as_its_exemplar():
+    """Moved interfaces alone (`grading="feedback"`) leave three fifths of it."""
+    exemplar = tb.crop(tb.sample("bone"), 64)
+    even = np.full((64,) * 3, (exemplar.values > 0).mean(), np.float32)
+
+    def stiff(image):
+        return np.mean(list(tb.measure.stiffness(image).moduli.values()))
+
+    made = [
+        tb.method("texture", grading=way)
+        .fit(exemplar)
+        .generate(64, seed=1, target={"volume_fraction": even})
+        for way in ("held", "feedback")
+    ]
+    assert stiff(made[0]) > 0.85 * stiff(exemplar) > 1.1 * stiff(made[1])
+    assert tb.measure.coherence(exemplar, made[0], k=(4,))[4] < 0.12
