@@ -22,6 +22,7 @@ BONES = ("bone a", "bone b", "bone with cortex")
 KINDS = ("ramp", "radial", "simp", "drawn")
 FIGURES = ("thickness", "chord_length", "specific_surface", "anisotropy")
 PART = (52, 96, 96)
+SIDE = 96
 ASKED = 0.165
 """Solid fraction of the windows whose stiffness is solved."""
 SIZE, STEP = 20, 6
@@ -99,6 +100,36 @@ def graded_bone_stiffness() -> None:
                 made = [model.generate(SHAPE, seed=seed, target=target) for seed in (1, 2)]
                 chosen = [window for one in made for window in windows_at(one, 16)[:4]]
                 row(f"{name}, {kind}, {method}", *stiffness_of(chosen))
+
+
+def graded_bone_moduli() -> None:
+    """Stiffness of 96^3 over the solid's, mean of the three axes, at the exemplar's own fraction:
+    of the exemplar, and of what is made from it without a target and with an even field of that
+    fraction, new (the default) and by moved interfaces (`grading="feedback"`), two seeds each.
+    """
+    row = table("case", "exemplar", "no target", "even", "feedback", wide=24)
+    every = {name: scan for name, scan in scans().items() if name in BONES}
+    every["sample:bone"] = tb.sample("bone")
+    for name, scan in every.items():
+        exemplar = tb.crop(scan, SIDE)
+        even = np.full((SIDE,) * 3, (np.asarray(exemplar.values) > 0).mean(), np.float32)
+        target = {"volume_fraction": even}
+        ways: list[tuple[dict[str, Any], dict[str, Any]]] = [
+            ({}, {}),
+            ({}, target),
+            ({"grading": "feedback"}, target),
+        ]
+        found = []
+        for settings, wanted in ways:
+            model = tb.method("texture", **settings).fit(exemplar)
+            made = [model.generate(SIDE, seed=seed, target=wanted) for seed in (1, 2)]
+            found.append(", ".join(f"{_modulus(one):.4f}" for one in made))
+        row(name, f"{_modulus(exemplar):.4f}", *found)
+
+
+def _modulus(image: tb.Image) -> float:
+    """Return the stiffness along an axis over the solid's, mean of three."""
+    return float(np.diag(np.asarray(tb.measure.stiffness(image).matrix))[:3].mean())
 
 
 def model_of(method: str, bone: str, exemplar: tb.Image) -> Model | None:

@@ -154,6 +154,7 @@ CASES: dict[str, Callable[[], None]] = {
     "graded_bone_fields": graded_bone.graded_bone_fields,
     "graded_bone_copies": graded_bone.graded_bone_copies,
     "graded_bone_stiffness": graded_bone.graded_bone_stiffness,
+    "graded_bone_moduli": graded_bone.graded_bone_moduli,
     "graded_seams": graded.graded_seams,
     "graded_speed": graded.graded_speed,
     "oriented": oriented.oriented,

@@ -4,17 +4,21 @@ stiff bone stays.
 
 import numpy as np
 import pytest
+from texture_runs import check_in_files
 
 import trabecula as tb
 from trabecula import fields
+from trabecula.engine import checkpoint
 from trabecula.engine.parallel import threads
 from trabecula.measure.smooth import gaussian
+from trabecula.synth.shared import novel_layout
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.held_fractions import PULL, HeldFractions, hold_field, uneven_part
 from trabecula.synth.shared.matching.grid import Grid
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.statistics.density_slopes import density_weights
 from trabecula.synth.shared.statistics.two_point import correlations_of, soft_indicator
+from trabecula.testing.peak import peak_bytes
 
 SHAPE, SOFTNESS, WIDTH = (40, 36, 44), 48.0, 12
 OPEN = (False, False, False)
@@ -132,6 +136,56 @@ def test_a_masked_field_is_met_inside_alone(periodic):
     halves = [solid[8:40, 8:40, part].mean() for part in (slice(0, 32), slice(32, 64))]
     wanted = [ramp[8:40, 8:40, part].mean() for part in (slice(0, 32), slice(32, 64))]
     assert np.allclose(halves, wanted, atol=0.02)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return tb.method("texture", sweeps=1, tries=2).fit(tb.crop(tb.sample("bone"), 40))
+
+
+@pytest.fixture(scope="module")
+def request_():
+    shape = (40, 32, 33)
+    mask = np.ones(shape, bool)
+    mask[:, :6, :6] = False
+    ramp = np.ascontiguousarray(np.broadcast_to(np.linspace(0.12, 0.3, 33), shape))
+    target = {"volume_fraction": ramp.astype(np.float32)}
+    return tb.Request(shape, seed=3, target=target, mask=mask, periodic=(True, False, False))
+
+
+@pytest.fixture(scope="module")
+def made(model, request_, tmp_path_factory):
+    values, report = check_in_files(model, request_, tmp_path_factory.mktemp("files"))
+    assert set(report["graded"]) == {"joins", "small_bodies"}
+    return values
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("call", [3, 10])
+def test_interrupted_it_resumes_bit_for_bit(call, model, request_, made, tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoint, "EVERY", 0.0)
+    monkeypatch.setattr(checkpoint, "_SHARE", 0)
+    own, done = novel_layout.coherent_search, []
+
+    def broken(*parts, **settings):
+        done.append(call)
+        if len(done) == call:
+            raise KeyboardInterrupt
+        return own(*parts, **settings)
+
+    monkeypatch.setattr(novel_layout, "coherent_search", broken)
+    with pytest.raises(KeyboardInterrupt), checkpoint.kept_at(tmp_path / "a.part"):
+        model.make(request_)
+    with checkpoint.kept_at(tmp_path / "a.part"):
+        again, _ = model.make(request_)
+    assert np.array_equal(again, made)
+
+
+@pytest.mark.whole
+def test_memory_is_forecast(model, request_, made):
+    plan = model.plan(request_)
+    arrays = plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
+    assert peak_bytes(lambda: model.make(request_)) <= arrays
 
 
 @pytest.mark.whole
