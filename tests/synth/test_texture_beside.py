@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from texture_runs import check_in_files
+from texture_runs import check_in_files, resume_after_search
 
 import trabecula as tb
-from trabecula.engine import checkpoint
 from trabecula.synth.shared import novel_layout
 from trabecula.synth.shared.known_part import has_room_beside
 from trabecula.testing.peak import peak_bytes
@@ -57,21 +56,7 @@ def test_known_voxels_stay_and_what_joins_them_is_not_copied(model, request_, ma
 @pytest.mark.whole
 @pytest.mark.parametrize("call", [3, 10])
 def test_interrupted_it_resumes_bit_for_bit(call, model, request_, made, tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint, "EVERY", 0.0)
-    monkeypatch.setattr(checkpoint, "_SHARE", 0)
-    own, done = novel_layout.coherent_search, []
-
-    def broken(*parts, **settings):
-        done.append(call)
-        if len(done) == call:
-            raise KeyboardInterrupt
-        return own(*parts, **settings)
-
-    monkeypatch.setattr(novel_layout, "coherent_search", broken)
-    with pytest.raises(KeyboardInterrupt), checkpoint.kept_at(tmp_path / "a.part"):
-        model.make(request_)
-    with checkpoint.kept_at(tmp_path / "a.part"):
-        again, _ = model.make(request_)
+    again = resume_after_search(call, model, request_, tmp_path / "a.part", monkeypatch)
     assert np.array_equal(again, made)
 
 

@@ -1,10 +1,12 @@
 """Runs of `texture` that are put into scratch files, or cut off."""
 
 import numpy as np
+import pytest
 
 import trabecula as tb
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.memory import check_releases
+from trabecula.synth.shared import novel_layout
 
 
 class StoppedError(Exception):
@@ -28,3 +30,24 @@ def write_every_checkpoint(monkeypatch):
     """Let a run write a checkpoint wherever it may."""
     monkeypatch.setattr(checkpoint, "EVERY", 0.0)
     monkeypatch.setattr(checkpoint, "_SHARE", 0)
+
+
+def resume_after_search(call, model, request, path, monkeypatch):
+    """Return the result of a run of new material that was interrupted in search number `call`, with
+    its checkpoint at a path.
+    """
+    write_every_checkpoint(monkeypatch)
+    own, done = novel_layout.coherent_search, []
+
+    def broken(*parts, **settings):
+        done.append(call)
+        if len(done) == call:
+            raise KeyboardInterrupt
+        return own(*parts, **settings)
+
+    monkeypatch.setattr(novel_layout, "coherent_search", broken)
+    with pytest.raises(KeyboardInterrupt), checkpoint.kept_at(path):
+        model.make(request)
+    with checkpoint.kept_at(path):
+        values, _ = model.make(request)
+    return values

@@ -157,12 +157,7 @@ class HeldFractions:
 
     def guide(self, grid: Grid, offset: LocalOffset) -> Grid:
         """Return a grid whose search prefers places as dense as the request has it."""
-        box, steps = grid.candidates.basis.box, grid.candidates.steps
-        places = [
-            (np.arange(count) * step + w // 2) % side
-            for count, step, w, side in zip(grid.shape, steps, box, grid.region.shape, strict=True)
-        ]
-        at, guide = offset.at(places), memmap.empty((*grid.shape, 1), np.int16)
+        at, guide = offset.at(grid.middles), memmap.empty((*grid.shape, 1), np.int16)
         own = fraction_feature(offset.wanted, offset.counted)
         own[offset.counted == 0] = round(offset.mean * PULL)
 
@@ -180,26 +175,24 @@ class HeldFractions:
         for its evenness, and these histograms, one a channel.
         """
         pairs = TorusPairs.of(shape, target)
-        spectrum = pairs.forward(target.on_grid(partial(self._about_mean, shape), shape))
+        where = True if self.mask is None else self.mask
+        mean = self.fractions.mean(dtype=np.float64, where=where)
+        about = partial(self._about, np.float32(mean), shape)
+        spectrum = pairs.forward(target.on_grid(about, shape))
         asked = pairs.curve(spectrum, spectrum)
         means = np.array([soft_mean(one, target.softness) for one in histograms])
         rarer = (means - means * means) / max(self.mean - self.mean * self.mean, 1e-30)
         return replace(target, curves=target.curves - rarer[:, None] * self.uneven + asked)
 
-    def _about_mean(self, shape: tuple[int, ...], start: int, stop: int) -> np.ndarray:
+    def _about(self, mean: np.float32, shape: tuple[int, ...], start: int, stop: int) -> np.ndarray:
         """Return planes of the fractions less their mean; 0 where none counts."""
         places = [
             np.arange(side).clip(max=have - 1)
             for side, have in zip(shape, self.fractions.shape, strict=True)
         ]
         mesh = np.ix_(places[0][start:stop], *places[1:])
-        found = self.fractions[mesh] - np.float32(self._mean_asked)
+        found = self.fractions[mesh] - mean
         return found if self.mask is None else np.where(self.mask[mesh], found, np.float32(0))
-
-    @property
-    def _mean_asked(self) -> float:
-        where = True if self.mask is None else self.mask
-        return float(self.fractions.mean(dtype=np.float64, where=where))
 
 
 def hold_field(field: np.ndarray, offset: LocalOffset) -> None:

@@ -309,8 +309,7 @@ class NovelRounds(CoarseToFine[Any]):
         self.debt: np.ndarray | None = None
         self.rounds = 0 if slices is None else _SLICED[config.layout][0]
         self.on_torus = is_whole(config.layout) and takes_steps(request, config.layout)
-        self._known: tuple[int, KnownPart] | None = None  # of a pass
-        self._graded: tuple[int, Correlations] | None = None  # of a pass
+        self._aim: tuple[int, Correlations, np.ndarray | None] | None = None  # of a pass
 
     @property
     def names(self) -> list[str]:
@@ -593,22 +592,27 @@ class NovelRounds(CoarseToFine[Any]):
         voxels those of all voxels together, where fractions are held those of such material.
         """
         grid = stage.grid
-        if self.graded:
-            if self._graded is None or self._graded[0] != stage.number:
-                level = stage.part.level
-                aim = self.held[level].aim(stage.target, grid.targets, grid.region.shape)
-                self._graded = stage.number, aim
-            return self._graded[1], stage.interface
-        if grid.region.low is None or not self.on_torus:
+        knows = grid.region.low is not None and self.on_torus
+        if not knows and not self.graded:
             return stage.target, stage.interface
-        if self._known is None or self._known[0] != stage.number:
-            free = with_histograms(self.aims[stage.part.level], grid.targets)
-            most = None if free.interface is None else stage.part.roughest * free.interface
-            part, shares = KnownPart.of(grid.region, free.correlations, grid.targets, most)
-            self._known = stage.number, part
-            self.work.adopt("shares", shares)
-        known = self._known[1]
-        return known.target, known.interface
+        if self._aim is None or self._aim[0] != stage.number:
+            aim = self._aim_beside(stage) if knows else self._held_aim(stage)
+            self._aim = stage.number, *aim
+        return self._aim[1:]
+
+    def _aim_beside(self, stage: PassStage) -> tuple[Correlations, np.ndarray | None]:
+        """Return what steps aim at beside known voxels; hold the shares of moves there."""
+        grid = stage.grid
+        free = with_histograms(self.aims[stage.part.level], grid.targets)
+        most = None if free.interface is None else stage.part.roughest * free.interface
+        part, shares = KnownPart.of(grid.region, free.correlations, grid.targets, most)
+        self.work.adopt("shares", shares)
+        return part.target, part.interface
+
+    def _held_aim(self, stage: PassStage) -> tuple[Correlations, np.ndarray | None]:
+        """Return what steps aim at where fractions are held."""
+        grid, held = stage.grid, self.held[stage.part.level]
+        return held.aim(stage.target, grid.targets, grid.region.shape), stage.interface
 
     def _step(self, target: Correlations, beyond: float, renew: bool) -> np.ndarray:
         """Take a step on the two-point function that aims beyond the target by the debt, which the

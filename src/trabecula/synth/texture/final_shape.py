@@ -33,7 +33,7 @@ from trabecula.engine.compile import inline, kernel
 from trabecula.engine.memory import Array, Stage, within
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import distance_transform
-from trabecula.synth.shared.content.fields import FULL, UNIT
+from trabecula.synth.shared.content.fields import FULL, UNIT, votes_of
 from trabecula.synth.shared.content.joints import find_known
 from trabecula.synth.shared.content.phase_fractions import brightest_voxels
 from trabecula.synth.shared.known_part import move_shares, share_stages
@@ -134,7 +134,7 @@ def settle_field(
     if struts is not None:
         field = _rounded(votes)
         joins = join_components(field, region, struts)
-        for_slabs(lambda a, b: _write(field, votes, a, b), votes.shape[1])
+        votes = votes_of(field)
         del field
     local = LocalOffset.of(region, fractions, window, near=HALF_A_VOXEL)
     local.shift(votes[0], steps=_STEPS, most=_MOST * unit * UNIT)
@@ -142,11 +142,6 @@ def settle_field(
         report["small_bodies"] = place(votes)
     upper, last = _split(votes, region, fractions, struts)
     return upper, {"joins": joins + last, **report}
-
-
-def _write(field: np.ndarray, votes: np.ndarray, start: int, stop: int) -> None:
-    """Make planes of votes those of a field."""
-    np.multiply(field[:, start:stop], np.int16(UNIT), out=votes[:, start:stop], dtype=np.int16)
 
 
 def _split(

@@ -145,11 +145,7 @@ class FractionTarget:
 
     def guide(self, grid: Grid) -> np.ndarray:
         """Return the target around the middle of every site, as a feature (sz, sy, sx, 1) int16."""
-        box, steps = grid.candidates.basis.box, grid.candidates.steps
-        at = [
-            (np.arange(count) * step + w // 2) % side
-            for count, step, w, side in zip(grid.shape, steps, box, self.region.shape, strict=True)
-        ]
+        at = grid.middles
         guide = memmap.empty((*grid.shape, 1), np.int16)
 
         def work(start: int, stop: int) -> None:
@@ -286,14 +282,9 @@ def lead_guide(grid: Grid, local: LocalOffset, *, first: bool = False) -> None:
     """Move the guide of a grid by what is missing, in place: the next search is for denser
     neighbourhoods where there is too little. The `first` guide is the target.
     """
-    box, steps = grid.candidates.basis.box, grid.candidates.steps
-    places = [
-        (np.arange(count) * step + w // 2) % side
-        for count, step, w, side in zip(grid.shape, steps, box, grid.region.shape, strict=True)
-    ]
-    at, guide, far = local.at(places), grid.guide, round(_FARTHEST * PULL)
+    at, guide, far = local.at(grid.middles), grid.guide, round(_FARTHEST * PULL)
     assert guide is not None
-    own = local.wanted * PULL // (np.maximum(local.counted, 1) * PARTS)
+    own = fraction_feature(local.wanted, local.counted)
     more = np.rint(local.missing * np.float32(_LEAD * PULL)).astype(np.int64)
 
     def work(start: int, stop: int) -> None:

@@ -450,13 +450,13 @@ class TextureModel(Model):
                     fractions=self._fractions(request, used),
                     struts=self._struts if request.target else (),
                     copies=self.copies,
-                    window=window_of(self._length) if request.target else NARROWEST,
+                    window=self._held_width if request.target else NARROWEST,
                 )
             )
             if energies:
                 report["levels"] = energies
         votes = fit_to(votes, request.shape)
-        if self._settles(request):
+        if self._settles(request, new=new):
             values, report["graded"] = self._settle_shape(votes, request, new=new)
             return values, report
         if new and self.small:
@@ -509,7 +509,7 @@ class TextureModel(Model):
         for level, fractions in enumerate(self._fractions(request, top + 1)):
             if level and mask is not None:
                 mask = Region(mask.shape, request.periodic, mask).halve().free
-            aims, width = self.aims[level], window_at(window_of(self._length), level)
+            aims, width = self.aims[level], window_at(self._held_width, level)
             mean = soft_mean(aims.histograms[0], aims.correlations.softness)
             uneven = self._uneven[level]
             found.append(HeldFractions(fractions, width, uneven, mean, request.periodic, mask))
@@ -518,9 +518,8 @@ class TextureModel(Model):
     @cached_property
     def _uneven(self) -> list[np.ndarray]:
         """Measure what every level loses of its two-point functions where windows are even."""
-        width = window_of(self._length)
         return [
-            uneven_part(own, aims.correlations, window_at(width, level))
+            uneven_part(own, aims.correlations, window_at(self._held_width, level))
             for level, (own, aims) in enumerate(zip(self._own, self.aims, strict=False))
         ]
 
@@ -598,14 +597,12 @@ class TextureModel(Model):
             found[0] = strut_field(self.stacks[0], upper=upper, clip=clip, whole=0.0)
         return found if found[0] is not None else []
 
-    def _settles(self, request: Request) -> bool:
-        """Return whether the last shape is to meet a target around every place."""
-        shifted = self.config.grading == "shift"
-        return bool(request.target) and not shifted and not self._is_one_number(request)
-
-    def _is_one_number(self, request: Request) -> bool:
-        """Return whether a target is met by new material that is alike everywhere."""
-        return self._makes_new(request) and not _is_field(request)
+    def _settles(self, request: Request, *, new: bool) -> bool:
+        """Return whether the last shape is to meet a target around every place: of one number new
+        material is alike everywhere.
+        """
+        by_place = bool(request.target) and self.config.grading != "shift"
+        return by_place and (not new or _is_field(request))
 
     def _settle_shape(
         self, votes: np.ndarray, request: Request, *, new: bool
@@ -616,7 +613,7 @@ class TextureModel(Model):
         region = regions_of(request, 1, bounds, self._quantise)[0]
         fractions = target_fractions(request, self.content.present, self.content.empty)
         given = votes, region, fractions, self._struts[0] if self._struts else None
-        unit, window = FULL / self.config.clip, window_of(self._length)
+        unit, window = FULL / self.config.clip, self._held_width
         if new:
             place = partial(self._settle_bodies, request=average_target(request))
             upper, report = settle_field(*given, unit=unit, window=window, place=place)
@@ -629,6 +626,11 @@ class TextureModel(Model):
         """Bring small bodies to their numbers, in votes (C, Z, Y, X); return what was done."""
         assert isinstance(self.content, Labels)
         return settle_phases(votes, self.content, self.small, request, name="texture")
+
+    @property
+    def _held_width(self) -> int:
+        """Return the width of the windows whose fraction is held, voxels."""
+        return window_of(self._length)
 
     @cached_property
     def _length(self) -> float:
@@ -741,7 +743,7 @@ class TextureModel(Model):
                     for number, candidates in enumerate(finest)
                 )
             )
-        if self._settles(request):
+        if self._settles(request, new=new):
             known = request.fixed is not None
             stages += shape_stages(request.shape, known=known, masked=request.mask is not None)
         last = finest[-1]

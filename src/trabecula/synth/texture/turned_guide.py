@@ -36,11 +36,7 @@ def guide_turned(
     """
     fractions = grid.guide
     assert fractions is not None
-    box, steps = grid.candidates.basis.box, grid.candidates.steps
-    places = [
-        (np.arange(count) * step + w // 2) % side
-        for count, step, w, side in zip(grid.shape, steps, box, grid.region.shape, strict=True)
-    ]
+    places = grid.middles
     fields = {name: np.asarray(value) for name, value in target.items() if name in FRAME}
     added = guide_count(target)
     guide = memmap.empty((*grid.shape, 1 + added), np.int16)

@@ -85,6 +85,15 @@ class Grid:
         """
         return grid_reach(self.shape, box=self.candidates.basis.box, steps=self.candidates.steps)
 
+    @property
+    def middles(self) -> list[np.ndarray]:
+        """Return the voxel in the middle of every neighbourhood, one array an axis."""
+        box, steps = self.candidates.basis.box, self.candidates.steps
+        return [
+            (np.arange(count) * step + w // 2) % side
+            for count, step, w, side in zip(self.shape, steps, box, self.region.shape, strict=True)
+        ]
+
 
 def targets_of(
     region: Region, histograms: tuple[Histogram, ...], *, width: int
