@@ -9,6 +9,7 @@ from trabecula.synth.shared.statistics.density_slopes import (
     density_weights,
     weight_for,
 )
+from trabecula.synth.shared.statistics.pairs import Pairs
 from trabecula.synth.shared.statistics.slices import slice_target
 from trabecula.synth.shared.statistics.two_point import correlations_of
 
@@ -72,7 +73,24 @@ def test_weighing_is_the_mean_over_places_for_the_ends_of_short_pairs(halves):
     pair = (weight[:, :, 1:] + weight[:, :, :-1]) / 2
     expected = (pair * inside[:, :, 1:] * inside[:, :, :-1]).sum() / pair.sum()
     along_x = found[2 * 7 + 1]
-    assert along_x == pytest.approx(expected, abs=2e-4)
+    assert along_x == pytest.approx(expected, abs=4e-4)
+
+
+def test_far_apart_both_ends_are_denser():
+    """Beyond the windows pairs are those of places that have nothing to do with each other."""
+    random = np.random.default_rng(5)
+    field = np.where(random.random((40, 40, 40)) < 0.3, 100, -100).astype(np.int8)[None]
+    own = correlations_of([field], softness=SOFT, r_max=16)
+    slopes = density_slopes([field], own, width=4)
+    t = weight_for([slopes], 0.05)
+    found = slopes.correlations(own, t).curves[0] - own.curves[0]
+    pairs = Pairs(field.shape[1:], own.r_max, edges=own.edges, directions=own.directions)
+    mean, (_, y, x) = float((field > 0).mean()), pairs.reach
+    change = t * slopes.fraction
+    assert change > 0.005
+    for far in (8, 11, 14):
+        at = pairs.places[far, y, x]
+        assert found[at] == pytest.approx((mean + change) ** 2 - mean**2, rel=0.1)
 
 
 def test_no_weight_falls_below_nothing(halves):

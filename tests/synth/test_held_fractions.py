@@ -15,6 +15,7 @@ from trabecula.synth.shared.held_fractions import PULL, HeldFractions, hold_fiel
 from trabecula.synth.shared.matching.grid import Grid
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.statistics.density_slopes import density_weights
+from trabecula.synth.shared.statistics.pairs import Pairs
 from trabecula.synth.shared.statistics.two_point import correlations_of, soft_indicator
 from trabecula.testing.peak import peak_bytes
 
@@ -50,6 +51,24 @@ def test_what_windows_are_of_the_two_point_function(blocks):
     assert lost[0, 0] > 0
 
 
+def test_places_at_the_faces_are_no_part_of_it():
+    """Far pairs have an end near a face; where it is dense there, they lost part of the mean."""
+    dense = np.full(SHAPE, -60, np.int8)
+    dense[:5] = 60
+    noise = np.random.default_rng(2).random(SHAPE) < 0.3
+    field = np.where(noise, 60, dense).astype(np.int8)[None]
+    target = correlations_of([field], softness=SOFTNESS, r_max=16)
+    soft = soft_indicator(field[0], SOFTNESS).astype(float)
+    about, g = soft - soft.mean(), density_weights([field], WIDTH)[0].astype(float)
+    far = [slice(None, -15), slice(15, None)]
+    wanted = np.mean(about[far[0]] * about[far[1]])
+    wanted -= np.mean((about - g)[far[0]] * (about - g)[far[1]])
+    lost = uneven_part([field], target, WIDTH)
+    pairs = Pairs(SHAPE, target.r_max, edges=target.edges, directions=target.directions)
+    _, y, x = pairs.reach
+    assert lost[0, pairs.places[15, y, x]] == pytest.approx(wanted, abs=2e-3)
+
+
 def test_even_material_loses_nothing():
     even = np.full(SHAPE, -60, np.int8)
     even[::2, ::2, ::2] = 60
@@ -63,18 +82,25 @@ def test_steps_aim_at_the_fields_own_two_point_function():
     target = correlations_of([field], softness=SOFTNESS, r_max=6)
     histograms = (Histogram.of(field[0]),)
     mean = float(soft_indicator(field[0], SOFTNESS).mean())
-    flat = held(np.full(SHAPE, 0.3, np.float32), mean=mean).aim(target, histograms, SHAPE)
+    means = np.array([mean])
+    given = histograms, means, SHAPE
+    flat = held(np.full(SHAPE, 0.3, np.float32), mean=mean).aim(target, *given)
     assert np.allclose(flat.curves, target.curves, atol=1e-6)
+    # of other means each distance has its share of the variance
+    other = np.array([0.4])
+    denser = held(np.full(SHAPE, 0.3, np.float32), mean=mean).aim(target, histograms, other, SHAPE)
+    share = (target.curves - mean**2) / (mean - mean**2)
+    assert np.allclose(denser.curves, 0.4**2 + share * (0.4 - 0.4**2), atol=1e-6)
     ramp = np.ascontiguousarray(np.broadcast_to(np.linspace(0.1, 0.5, 44), SHAPE), np.float32)
-    steep = held(ramp, mean=mean).aim(target, histograms, SHAPE)
+    steep = held(ramp, mean=mean).aim(target, *given)
     assert steep.curves[0, 0] - target.curves[0, 0] == pytest.approx(ramp.var(), rel=1e-4)
-    uneven = held(ramp, mean=mean, uneven=0.01).aim(target, histograms, SHAPE)
+    uneven = held(ramp, mean=mean, uneven=0.01).aim(target, *given)
     assert np.allclose(steep.curves - uneven.curves, 0.01, atol=1e-6)
     # outside of a mask nothing is asked for
     mask = np.zeros(SHAPE, bool)
     mask[..., 10:34] = True
     inside = held(np.where(mask, ramp, np.nan), mean=mean, mask=mask)
-    part = inside.aim(target, histograms, SHAPE)
+    part = inside.aim(target, *given)
     about = np.where(mask, ramp - ramp[mask].mean(), 0)
     assert part.curves[0, 0] - target.curves[0, 0] == pytest.approx(np.square(about).mean(), 1e-3)
 
@@ -89,7 +115,7 @@ def test_the_guide_is_the_fraction_around_and_its_mean_where_none_counts():
     steps, width = candidates.steps, candidates.basis.width
     sites = tuple(side // step for side, step in zip(SHAPE, steps, strict=True))
     grid = Grid.over(Region(SHAPE, (True,) * 3), candidates)
-    offset = asked.offset(SHAPE)
+    offset = asked.offset(grid.region)
     guided = asked.guide(grid, offset)
     assert guided.guide is not None and guided.guide.shape == (*grid.shape, 1)
     assert guided.candidates.features.shape[1] == candidates.features.shape[1] + 1
@@ -106,7 +132,7 @@ def test_a_field_is_held_to_its_fractions_whatever_the_threads():
     for count in (1, 2):
         field = wavy()
         with threads(count):
-            hold_field(field, asked.offset(SHAPE))
+            hold_field(field, asked.offset(Region(SHAPE, (True,) * 3)))
         results.append(field)
     assert np.array_equal(*results)
 

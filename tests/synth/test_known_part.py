@@ -17,7 +17,7 @@ from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.statistics.interface import interface_share
 from trabecula.synth.shared.statistics.pairs import DIAGONAL
 from trabecula.synth.shared.statistics.torus_steps import TorusPairs
-from trabecula.synth.shared.statistics.two_point import Soft, correlations_of, soft_mean
+from trabecula.synth.shared.statistics.two_point import Soft, correlations_of, soft_means
 
 SHAPE = (24, 16, 20)
 SOFT = 40.0
@@ -37,8 +37,8 @@ def target(field):
 
 
 @pytest.fixture(scope="module")
-def histograms(field):
-    return (Histogram.of(field[0].ravel()),)
+def means(field):
+    return soft_means((Histogram.of(field[0].ravel()),), SOFT)
 
 
 def curve_of(field, target):
@@ -54,26 +54,26 @@ def first_planes(count):
     return known
 
 
-def test_where_all_is_known_the_target_is_what_is_there(field, target, histograms):
-    found = target_beside(target, histograms, np.ones(SHAPE, bool), field)
+def test_where_all_is_known_the_target_is_what_is_there(field, target, means):
+    found = target_beside(target, means, np.ones(SHAPE, bool), field)
     np.testing.assert_allclose(found.curves[0], curve_of(field, target), atol=1e-5)
 
 
-def test_where_nothing_is_known_the_target_stays(field, target, histograms):
-    found = target_beside(target, histograms, np.zeros(SHAPE, bool), field)
+def test_where_nothing_is_known_the_target_stays(field, target, means):
+    found = target_beside(target, means, np.zeros(SHAPE, bool), field)
     np.testing.assert_allclose(found.curves, target.curves, atol=1e-6)
 
 
 @pytest.mark.parametrize("planes", [6, 12])
-def test_pairs_of_known_voxels_keep_their_own(planes, target, histograms, field):
+def test_pairs_of_known_voxels_keep_their_own(planes, target, means, field):
     """Of neighbours along z: known ones by brute force, the others by their share."""
     known, pairs = first_planes(planes), TorusPairs.of(SHAPE, target)
     _, y, x = pairs.reach
     place = pairs.places[1, y, x]  # of pairs that are one voxel apart along z
     denser = np.clip(field.astype(np.int16) + 20, -127, 127).astype(np.int8)
-    found = target_beside(target, histograms, known, denser).curves[0]
+    found = target_beside(target, means, known, denser).curves[0]
     soft = np.where(known, Soft.of(denser[0], SOFT).planes(0, SHAPE[0]), 0)
-    free, own = soft_mean(histograms[0], SOFT), float(soft[known].mean())
+    free, own = float(means[0]), float(soft[known].mean())
     both, curve = np.mean(known & np.roll(known, 1, 0)), target.curves[0, place]
     one = 2 * (known.mean() - both)
     covariance = (curve - free**2) / (free - free**2)
@@ -119,17 +119,17 @@ def test_a_held_move_goes_its_share_of_the_way(field):
     np.testing.assert_array_equal(votes[:, :8], before[:, :8])
 
 
-def test_known_voxels_are_measured_by_the_middles_of_their_bounds(field, target, histograms):
+def test_known_voxels_are_measured_by_the_middles_of_their_bounds(field, target, means):
     known = first_planes(12)
     low = np.where(known, field, -127).astype(np.int8)
     high = np.where(known, field, 127).astype(np.int8)
     region = Region(SHAPE, (True,) * 3, ~known, low, high)
-    part, shares = KnownPart.of(region, target, histograms, interface_share([field]))
-    wanted = target_beside(target, histograms, known, field)
+    part, shares = KnownPart.of(region, target, means, interface_share([field]))
+    wanted = target_beside(target, means, known, field)
     np.testing.assert_allclose(part.target.curves, wanted.curves)
     assert part.interface == pytest.approx(interface_share([field]), rel=0.1)
     np.testing.assert_array_equal(shares, move_shares(known, region.wraps))
-    assert KnownPart.of(region, target, histograms, None)[0].interface is None
+    assert KnownPart.of(region, target, means, None)[0].interface is None
 
 
 def test_three_tenths_of_free_voxels_are_a_sample():

@@ -22,6 +22,7 @@ from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.content.fields import UNIT
 from trabecula.synth.shared.content.histogram import Histogram
+from trabecula.synth.shared.known_part import shares_beside
 from trabecula.synth.shared.local_offset import HALF_A_VOXEL, PARTS, LocalOffset
 from trabecula.synth.shared.matching.grid import Grid, append_guide
 from trabecula.synth.shared.matching.region import Region
@@ -33,7 +34,7 @@ from trabecula.synth.shared.statistics.torus_steps import TorusPairs
 from trabecula.synth.shared.statistics.two_point import (
     Correlations,
     Soft,
-    soft_mean,
+    soft_means,
     whole_blocks,
 )
 
@@ -49,7 +50,7 @@ _FARTHEST = 45.0 * UNIT  # votes by which it is shifted at most: one and a half 
 
 def window_at(width: int, level: int) -> int:
     """Return the width on a level of windows that are so wide on the finest one."""
-    return max(LEAST, width // 2**level)
+    return max(LEAST, round(width / 2**level))
 
 
 def fractions_by_level(fractions: np.ndarray, stacks: Sequence[Stack]) -> list[np.ndarray]:
@@ -145,15 +146,18 @@ class HeldFractions:
     periodic: tuple[bool, ...]
     mask: np.ndarray | None = None
 
-    def offset(self, shape: tuple[int, ...]) -> LocalOffset:
-        """Return the offset that meets the fractions on a torus of a shape."""
-        counted = None
+    def offset(self, region: Region) -> LocalOffset:
+        """Return the offset that meets the fractions on a torus; beside its known voxels it shifts
+        less.
+        """
+        shape, counted = region.shape, region.free
         if self.mask is not None:
-            counted = np.zeros(shape, bool)
-            there = tuple(map(slice, self.mask.shape))
-            counted[there] = self.mask[tuple(map(slice, shape))]
-        region = Region(shape, self.periodic, counted)
-        return LocalOffset.of(region, self.fractions, self.width, near=HALF_A_VOXEL)
+            inside = np.zeros(shape, bool)
+            inside[tuple(map(slice, self.mask.shape))] = self.mask[tuple(map(slice, shape))]
+            counted = inside if counted is None else inside & counted
+        counting = Region(shape, self.periodic, counted)
+        shares = shares_beside(region)
+        return LocalOffset.of(counting, self.fractions, self.width, shares, HALF_A_VOXEL)
 
     def guide(self, grid: Grid, offset: LocalOffset) -> Grid:
         """Return a grid whose search prefers places as dense as the request has it."""
@@ -169,10 +173,15 @@ class HeldFractions:
         return replace(grid, candidates=candidates, guide=guide)
 
     def aim(
-        self, target: Correlations, histograms: Sequence[Histogram], shape: tuple[int, ...]
+        self,
+        target: Correlations,
+        histograms: Sequence[Histogram],
+        means: np.ndarray,
+        shape: tuple[int, ...],
     ) -> Correlations:
         """Return the two-point functions of a torus of a shape whose material has the `target` but
-        for its evenness, and these histograms, one a channel.
+        for its evenness, and the `means` of its soft indicators, one a channel; those of the target
+        are of histograms.
         """
         pairs = TorusPairs.of(shape, target)
         where = True if self.mask is None else self.mask
@@ -180,9 +189,11 @@ class HeldFractions:
         about = partial(self._about, np.float32(mean), shape)
         spectrum = pairs.forward(target.on_grid(about, shape))
         asked = pairs.curve(spectrum, spectrum)
-        means = np.array([soft_mean(one, target.softness) for one in histograms])
-        rarer = (means - means * means) / max(self.mean - self.mean * self.mean, 1e-30)
-        return replace(target, curves=target.curves - rarer[:, None] * self.uneven + asked)
+        theirs = soft_means(histograms, target.softness)
+        asked_for, had, own = ((m - m * m) for m in (means, theirs, self.mean))
+        material = (asked_for / had.clip(1e-30))[:, None] * (target.curves - theirs[:, None] ** 2)
+        even = material - (asked_for / max(own, 1e-30))[:, None] * self.uneven
+        return replace(target, curves=even + asked + means[:, None] ** 2)
 
     def _about(self, mean: np.float32, shape: tuple[int, ...], start: int, stop: int) -> np.ndarray:
         """Return planes of the fractions less their mean; 0 where none counts."""
@@ -219,11 +230,15 @@ def uneven_part(fields: Sequence[np.ndarray], target: Correlations, width: int) 
         fits += pairs.fits
         for c, channel in enumerate(field):
             soft = Soft.of(channel, target.softness)
-            for sign, planes in ((1, soft.planes), (-1, partial(_less, soft, local))):
+            mean = soft.mean_and_moving()[0]  # without it g of places at the faces would count
+            for sign, weight in ((1, 0), (-1, 1)):
+                planes = partial(_less, soft, mean, local, np.float32(weight))
                 spectrum = pairs.forward(whole_blocks(planes, shape, target.blocks))
                 lost[c] += sign * pairs.curve(spectrum, spectrum) * pairs.fits
     return lost / np.maximum(fits, 1)
 
 
-def _less(soft: Soft, local: np.ndarray, start: int, stop: int) -> np.ndarray:
-    return np.asarray(soft.planes(start, stop) - local[start:stop])
+def _less(
+    soft: Soft, mean: np.float32, local: np.ndarray, weight: np.float32, start: int, stop: int
+) -> np.ndarray:
+    return np.asarray(soft.planes(start, stop) - mean - weight * local[start:stop])

@@ -20,13 +20,12 @@ from trabecula.engine.memory import Array, Stage, Workspace, within
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import distance_transform
 from trabecula.synth.shared.content.fields import UNIT
-from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.content.joints import find_known
 from trabecula.synth.shared.matching.region import Region, has_cube
 from trabecula.synth.shared.novel_schedule import LEAST
 from trabecula.synth.shared.slabs import complement, count_true, make_by_slabs, tally_by_slabs
 from trabecula.synth.shared.statistics.torus_steps import TorusPairs, torus_step_stages
-from trabecula.synth.shared.statistics.two_point import Correlations, Soft, soft_mean
+from trabecula.synth.shared.statistics.two_point import Correlations, Soft
 
 _NEAR = 4.0
 """Voxels beyond the known ones from where a move is whole."""
@@ -76,11 +75,12 @@ class KnownPart:
         cls,
         region: Region,
         target: Correlations,
-        histograms: Sequence[Histogram],
+        means: np.ndarray,
         interface: np.ndarray | None,
     ) -> tuple[KnownPart, np.ndarray]:
         """Measure the known voxels of a region, whose free ones are to have the `target`, these
-        histograms, and so much interface at most; return it with the `move_shares`.
+        `means` of their soft indicators, and so much interface at most; return it with the
+        `move_shares`.
         """
         low, high = region.low, region.high
         assert region.free is not None and low is not None and high is not None
@@ -95,13 +95,13 @@ class KnownPart:
                 lambda a, b: (low[:, a:b].astype(np.int16) + high[:, a:b]) >> 1, low.shape, np.int8
             ),
         )
-        whole = target_beside(target, histograms, known, middle)
+        whole = target_beside(target, means, known, middle)
         most = None if interface is None else interface_beside(interface, known, middle)
         return cls(whole, most), work.take("shares")
 
 
 def target_beside(
-    target: Correlations, histograms: Sequence[Histogram], known: np.ndarray, middle: np.ndarray
+    target: Correlations, means: np.ndarray, known: np.ndarray, middle: np.ndarray
 ) -> Correlations:
     """Return the two-point functions of a torus with known voxels whose free ones follow a target.
 
@@ -109,8 +109,8 @@ def target_beside(
     ----------
     target : Correlations
         Of free voxels.
-    histograms : sequence of Histogram
-        That these have, one a channel.
+    means : (C,) float64
+        Of their soft indicators.
     known : (Z, Y, X) bool
     middle : (C, Z, Y, X) int8
         The field of the known voxels.
@@ -126,9 +126,9 @@ def target_beside(
     share = count_true(known) / known.size
     one, none = 2 * (share - both), 1 - 2 * share + both
     curves = []
-    for curve, channel, histogram in zip(target.curves, middle, histograms, strict=True):
+    for curve, channel, free in zip(target.curves, middle, means.tolist(), strict=True):
         soft = Soft.of(channel, target.softness, known)
-        own, free = float(soft.mean_and_moving()[0]), soft_mean(histogram, target.softness)
+        own = float(soft.mean_and_moving()[0])
         variance, other = free - free * free, own - own * own
         covariance = (curve - free * free) / max(variance, 1e-30)
         between = covariance * np.sqrt(max(variance * other, 0)) + own * free
@@ -171,6 +171,13 @@ def move_shares(known: np.ndarray, wraps: Sequence[bool]) -> np.ndarray:
         return np.rint(np.clip(part, 0, WHOLE))
 
     return make_by_slabs(shares, known.shape, np.uint8)
+
+
+def shares_beside(region: Region) -> np.ndarray | None:
+    """Return `move_shares` beside the known voxels of a region; None where nothing is known."""
+    if region.free is None or region.low is None or region.high is None:
+        return None
+    return move_shares(find_known(region.free, region.low, region.high), region.wraps)
 
 
 def hold_move(votes: np.ndarray, field: np.ndarray, shares: np.ndarray) -> None:

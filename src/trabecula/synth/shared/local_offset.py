@@ -14,6 +14,7 @@ the work is divided.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,8 +37,9 @@ long and swing."""
 NARROWEST = 20
 """Voxels a side of the windows whose fraction is held, at least."""
 
-_LENGTHS, _LESS, _WIDEST = 10, 12, 100  # of the structure's length, less voxels; voxels at most
-_BLOCKS = 5  # of a window along every axis, where it is no narrower than twice that
+_LENGTHS, _WIDEST = 8.25, 100  # of the structure, of a window; voxels at most
+_FINE, _LESS = 11, 13.5  # the same of a fine structure, less voxels
+_BLOCKS = 5, 3  # of a window along every axis, whichever meets its width
 _NEAR = 32.0 * UNIT  # votes that count as near the interface: about a voxel
 _MOST = 40.0 * UNIT  # by which an offset moves in one step
 _HASTE = 1.5  # of a step; from 3 on they would swing
@@ -53,7 +55,8 @@ def window_of(length: float) -> int:
     In windows of 20 voxels, which held a part of a particle, particles were cut up (NMC had 1.7
     times its interface, now .96).
     """
-    return _BLOCKS * round(min(max(_LENGTHS * length - _LESS, NARROWEST), _WIDEST) / _BLOCKS)
+    width = min(_LENGTHS * length, _FINE * length - _LESS, _WIDEST)
+    return round(max(width, NARROWEST))
 
 
 @dataclass
@@ -109,8 +112,8 @@ class LocalOffset:
         """Prepare windows of about `width` voxels for fractions (z, y, x) float32 of the region's
         beginning; beyond their end the last ones count.
         """
-        blocks = _BLOCKS if width >= 2 * _BLOCKS else 3
-        edge = max(1, round(width / blocks))
+        fits = [(blocks, max(1, round(width / blocks))) for blocks in _BLOCKS]
+        blocks, edge = min(fits, key=lambda fit: abs(math.prod(fit) - width))
         shape = tuple(-(-side // edge) for side in region.shape)
         wanted, counted = np.zeros(shape, np.int32), np.zeros(shape, np.int32)
         free = _whole(region)
@@ -152,10 +155,14 @@ class LocalOffset:
         """Shift votes (Z, Y, X), int16 or an int8 field, in place by `most` at most: by so many
         steps from no offset.
         """
+        self.find(votes, steps=steps, most=most)
+        self.add_to(votes)
+
+    def find(self, votes: np.ndarray, *, steps: int, most: float) -> None:
+        """Find the offset that `shift` adds to votes."""
         self.offset, self._step = np.zeros_like(self.offset), np.zeros_like(self.offset)
         for _ in range(steps):
             self.step(votes, low=-most, high=most)
-        self.add_to(votes)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return what the next step starts from."""
@@ -212,6 +219,27 @@ class LocalOffset:
         moved = np.clip(self.offset + self._step, low, high)
         self._step = moved - self.offset
         self.offset = moved
+
+    def blend(self, votes: np.ndarray, others: np.ndarray, *, whole: float) -> None:
+        """Go from votes (Z, Y, X) int16 to others, in place, as much of the way as the offset is of
+        `whole` votes.
+        """
+        wraps = np.array(self.region.wraps)
+
+        def work(start: int, stop: int) -> None:
+            _go(
+                votes,
+                others,
+                self._taken,
+                self.offset,
+                self.edge,
+                wraps,
+                np.float32(whole),
+                start,
+                stop,
+            )
+
+        for_slabs(work, len(self.offset))
 
     @property
     def _taken(self) -> np.ndarray:
@@ -324,3 +352,19 @@ def _add(votes, shares, offset, edge, wraps, scale, most, start, stop):
                 by = np.int32(np.rint(row[x] * part))
                 value = np.int32(votes[z, y, x]) + (by + scale // 2) // scale
                 votes[z, y, x] = min(max(value, -most), most)
+
+
+@kernel
+def _go(votes, others, shares, offset, edge, wraps, whole, start, stop):
+    """Go some of the way from votes to others, in some layers of blocks."""
+    depth, height, width = votes.shape
+    line, row = np.empty(offset.shape[2], np.float32), np.empty(width, np.float32)
+    before, behind, share = _places_between(width, edge, len(line), wraps[2])
+    for z in range(start * edge, min(stop * edge, depth)):
+        for y in range(height):
+            _fill_row(offset, edge, wraps, z, y, line, before, behind, share, row)
+            for x in range(width):
+                part = np.float32(shares[z, y, x]) / _SHARES if shares.size else _ALL
+                part = min(abs(row[x] * part) / whole, _ALL)
+                far = np.float32(np.int32(others[z, y, x]) - np.int32(votes[z, y, x]))
+                votes[z, y, x] += np.int16(np.rint(part * far))

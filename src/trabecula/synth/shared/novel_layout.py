@@ -57,8 +57,10 @@ from trabecula.synth.shared.statistics.slices import SliceTarget, slice_target
 from trabecula.synth.shared.statistics.torus_steps import torus_step, torus_step_stages
 from trabecula.synth.shared.statistics.two_point import (
     Correlations,
+    Soft,
     correlations_at,
     reweight_target,
+    soft_means,
 )
 from trabecula.synth.shared.statistics.two_point_steps import (
     accumulate_debt,
@@ -270,7 +272,7 @@ class NovelRounds(CoarseToFine[Any]):
 
     Known voxels keep their field on every level, so what is made beside them is matched to the
     exemplar together with them. `around` are the regions that hold them, finest first. `held` are
-    the target's fractions around every place, finest first; not beside known voxels.
+    the target's fractions around every place, finest first.
 
     Attributes
     ----------
@@ -336,12 +338,14 @@ class NovelRounds(CoarseToFine[Any]):
             return self._layout_stage(name)
         part = self.schedule[number]
         region, candidates = self.regions[part.level], self.candidates[number]
-        targets = targets_of(region, self.aims[part.level].histograms, width=candidates.basis.width)
+        targets = self.aims[part.level].histograms
+        if not self.graded:
+            targets = targets_of(region, targets, width=candidates.basis.width)
         grid = Grid.over(region, candidates, targets)
         offset = None
         if self.graded:
             held = self.held[part.level]
-            offset = held.offset(region.shape)
+            offset = held.offset(region)
             grid = held.guide(grid, offset)
         later = self.schedule[place:]
         del self.regions[later[0].level + 1 if later else 0 :]
@@ -409,8 +413,10 @@ class NovelRounds(CoarseToFine[Any]):
         target, periodic = self.aims[part.level].correlations, self.request.periodic
         if self.graded:
             guide = Array((*level.grids[0], 1), np.int16, axis=-4)
-            fractions = Array(shape, np.float32)
-            level = replace(level, guides=1, held={"guide": guide, "fractions": fractions})
+            held = {**level.held, "guide": guide, "fractions": Array(shape, np.float32)}
+            if known:
+                held["offset shares"] = Array(shape, np.uint8)
+            level = replace(level, guides=1, held=held)
         if part.steps:
             step = self._step_stages(level.covered.shape, target, periodic)
             if known:
@@ -560,6 +566,7 @@ class NovelRounds(CoarseToFine[Any]):
         """Hold the field to the target's fractions, on coarse levels."""
         if stage.offset is not None:
             hold_field(self.work["field"], stage.offset)
+            stage.grid.region.clip_to_bounds(self.work["field"])
 
     def correct(self, stage: PassStage, number: int) -> None:
         """Take steps on the two-point function, the last with one on long waves."""
@@ -596,8 +603,11 @@ class NovelRounds(CoarseToFine[Any]):
         if not knows and not self.graded:
             return stage.target, stage.interface
         if self._aim is None or self._aim[0] != stage.number:
-            aim = self._aim_beside(stage) if knows else self._held_aim(stage)
-            self._aim = stage.number, *aim
+            if knows:
+                target, interface = self._aim_beside(stage)
+            else:
+                target, interface = self._held_aim(stage, stage.target)[0], stage.interface
+            self._aim = stage.number, target, interface
         return self._aim[1:]
 
     def _aim_beside(self, stage: PassStage) -> tuple[Correlations, np.ndarray | None]:
@@ -605,14 +615,22 @@ class NovelRounds(CoarseToFine[Any]):
         grid = stage.grid
         free = with_histograms(self.aims[stage.part.level], grid.targets)
         most = None if free.interface is None else stage.part.roughest * free.interface
-        part, shares = KnownPart.of(grid.region, free.correlations, grid.targets, most)
+        target, means = free.correlations, soft_means(grid.targets, free.correlations.softness)
+        if self.graded:
+            target, means = self._held_aim(stage, target)
+        part, shares = KnownPart.of(grid.region, target, means, most)
         self.work.adopt("shares", shares)
         return part.target, part.interface
 
-    def _held_aim(self, stage: PassStage) -> tuple[Correlations, np.ndarray | None]:
-        """Return what steps aim at where fractions are held."""
-        grid, held = stage.grid, self.held[stage.part.level]
-        return held.aim(stage.target, grid.targets, grid.region.shape), stage.interface
+    def _held_aim(self, stage: PassStage, target: Correlations) -> tuple[Correlations, np.ndarray]:
+        """Return a target for material that is held to fractions, and the means of its soft
+        indicators: as the field has them now.
+        """
+        grid, field = stage.grid, self.work["field"]
+        soft = [Soft.of(one, target.softness, grid.region.free) for one in field]
+        means = np.array([float(one.mean_and_moving()[0]) for one in soft])
+        held = self.held[stage.part.level]
+        return held.aim(target, grid.targets, means, grid.region.shape), means
 
     def _step(self, target: Correlations, beyond: float, renew: bool) -> np.ndarray:
         """Take a step on the two-point function that aims beyond the target by the debt, which the

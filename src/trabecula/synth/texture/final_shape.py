@@ -34,14 +34,14 @@ from trabecula.engine.memory import Array, Stage, within
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.distance import distance_transform
 from trabecula.synth.shared.content.fields import FULL, UNIT, votes_of
-from trabecula.synth.shared.content.joints import find_known
 from trabecula.synth.shared.content.phase_fractions import brightest_voxels
-from trabecula.synth.shared.known_part import move_shares, share_stages
+from trabecula.synth.shared.known_part import share_stages, shares_beside
 from trabecula.synth.shared.local_offset import HALF_A_VOXEL, NARROWEST, LocalOffset
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.texture.joined import StrutField, join_components, join_stages
 
 _STEPS = 12  # of the shift in every pass: more meet single windows, by struts that vary
+_TRIED = 6  # that find how far interfaces will move
 _MOST = 3.0  # voxels by which an interface moves in one pass
 _THIN = 0.9  # voxels, radius of the last joins
 
@@ -100,7 +100,7 @@ def settle_shape(
     smooth : bool
         Smooth the distance first.
     """
-    most, joins, shares = _MOST * unit * UNIT, 0, _shares(region)
+    most, joins, shares = _MOST * unit * UNIT, 0, shares_beside(region)
     for number in range(2):
         field = _rounded(votes)
         if struts is not None:
@@ -111,7 +111,7 @@ def settle_shape(
         del field
         local = LocalOffset.of(region, fractions, window, shares)
         local.shift(votes[0], steps=_STEPS, most=most)
-    upper, last = _split(votes, region, fractions, struts)
+    upper, last = _split(votes, region, _count_of(fractions, region), struts)
     return upper, {"joins": joins + last}
 
 
@@ -136,33 +136,32 @@ def settle_field(
         joins = join_components(field, region, struts)
         votes = votes_of(field)
         del field
-    local = LocalOffset.of(region, fractions, window, near=HALF_A_VOXEL)
-    local.shift(votes[0], steps=_STEPS, most=_MOST * unit * UNIT)
+    local = LocalOffset.of(region, fractions, window, shares_beside(region), HALF_A_VOXEL)
+    most = _MOST * unit * UNIT
+    local.find(votes[0], steps=_TRIED, most=most)
+    softened = votes[0].copy()
+    soften(softened, region.wraps)
+    local.blend(votes[0], softened, whole=unit * UNIT)
+    del softened
+    local.shift(votes[0], steps=_STEPS, most=most)
     if place is not None:
         report["small_bodies"] = place(votes)
-    upper, last = _split(votes, region, fractions, struts)
+    upper, last = _split(votes, region, _count_free(fractions, region), struts)
     return upper, {"joins": joins + last, **report}
 
 
 def _split(
-    votes: np.ndarray, region: Region, fractions: np.ndarray, struts: StrutField | None
+    votes: np.ndarray, region: Region, count: int, struts: StrutField | None
 ) -> tuple[np.ndarray, int]:
-    """Return the upper phase of votes, with the fractions' mean to the voxel, its solid joined
-    where it is to be one component; and the number of joins.
+    """Return the upper phase of votes, of so many free voxels, its solid joined where it is to be
+    one component; and the number of joins.
     """
-    upper, joins = brightest_voxels(votes[0], _count_of(fractions, region), region.free), 0
+    upper, joins = brightest_voxels(votes[0], count, region.free), 0
     if struts is not None:
         field = _signed(upper, votes)
         joins = join_components(field, region, replace(struts, radius=_THIN))
         for_slabs(lambda a, b: np.greater(field[0, a:b], 0, out=upper[a:b]), len(upper))
     return upper, joins
-
-
-def _shares(region: Region) -> np.ndarray | None:
-    """Return the part of a shift that every voxel takes; None where nothing is known."""
-    if region.free is None or region.low is None or region.high is None:
-        return None
-    return move_shares(find_known(region.free, region.low, region.high), region.wraps)
 
 
 def _rounded(votes: np.ndarray) -> np.ndarray:
@@ -197,6 +196,21 @@ def _distances(field: np.ndarray, region: Region, unit: float) -> np.ndarray:
         for_slabs(write, len(side))
         del distance, side, mark, write  # whose defaults hold the arrays
     return votes
+
+
+def _count_free(fractions: np.ndarray, region: Region) -> int:
+    """Return how many free voxels are to be of the upper phase, so that they have the mean of
+    fractions (Z, Y, X).
+    """
+    sums, free = np.zeros(len(fractions)), region.free
+
+    def work(start: int, stop: int) -> None:
+        for z in range(start, stop):
+            made = True if free is None else free[z]
+            sums[z] = fractions[z].sum(dtype=np.float64, where=made)
+
+    for_slabs(work, len(sums))
+    return round(float(sums.sum()))
 
 
 def _count_of(fractions: np.ndarray, region: Region) -> int:

@@ -91,8 +91,10 @@ def _porosity_on(request: Request, planes: slice) -> float | np.ndarray:
     return 0.0 if requested is None else requested
 
 
-def average_target(request: Request) -> Request:
-    """Return the request with one number as its target: the mean of its field."""
+def average_target(request: Request, *, free: bool = False) -> Request:
+    """Return the request with one number as its target: the mean of its field, or of that in `free`
+    voxels.
+    """
     if not any(map(np.ndim, request.target.values())):
         return replace(request, target={"porosity": float(_porosity_on(request, slice(None)))})
     planes = np.zeros((request.shape[0], 2))
@@ -100,8 +102,10 @@ def average_target(request: Request) -> Request:
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
             requested = np.asarray(_porosity_on(request, slice(z, z + 1)))[0]
-            inside = requested if request.mask is None else requested[request.mask[z]]
-            planes[z] = inside.sum(dtype=np.float64), inside.size
+            inside = np.ones_like(requested, bool) if request.mask is None else request.mask[z]
+            if free and request.known is not None:
+                inside = inside & ~request.known[z]
+            planes[z] = requested.sum(dtype=np.float64, where=inside), np.count_nonzero(inside)
 
     for_slabs(work, len(planes))
     return replace(request, target={"porosity": math.fsum(planes[:, 0]) / math.fsum(planes[:, 1])})

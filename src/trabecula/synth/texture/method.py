@@ -494,7 +494,7 @@ class TextureModel(Model):
         aims, slices = self.aims[: top + 1], self.slices
         if request.target:
             aims, slices = self._at_target(
-                average_target(request) if _is_field(request) else request
+                average_target(request, free=True) if _is_field(request) else request
             )
         return novel_layout.NovelRounds(aims, slices, schedule, request, self.config, around, held)
 
@@ -615,7 +615,7 @@ class TextureModel(Model):
         given = votes, region, fractions, self._struts[0] if self._struts else None
         unit, window = FULL / self.config.clip, self._held_width
         if new:
-            place = partial(self._settle_bodies, request=average_target(request))
+            place = partial(self._settle_bodies, request=average_target(request, free=True))
             upper, report = settle_field(*given, unit=unit, window=window, place=place)
         else:
             smooth = self._length >= _FINE
@@ -659,7 +659,10 @@ class TextureModel(Model):
             return False
         if request.known is None:
             return whole or not request.target
-        laid_out = whole and not request.target and self.painted is None
+        takes = not request.target or (
+            _is_field(request) and novel_layout.takes_steps(request, self.config.layout)
+        )
+        laid_out = whole and takes and self.painted is None
         return laid_out and has_room_beside(request.known, top)
 
     def _check_request(self, request: Request) -> None:

@@ -113,7 +113,8 @@ def density_slopes(
             shares[c] += np.bincount(places, g.ravel(), len(values)) / size
     # The weights of the pairs of a bin do not add up to 0: places at the faces have fewer of them.
     curves = (products - correlations.curves * weighted) / np.maximum(fits, 1)
-    # Ends of a pair in one window are denser together, farther apart each by itself.
+    # Ends of a pair in one window are denser together, farther apart each by itself: such a pair
+    # weighs (1 + t g(x)) (1 + t g(y)), where x + y as one weigh 1 + t (g(x) + g(y)) / 2.
     variance = sum(float(np.square(g, dtype=np.float64).sum()) for g in weights) / size
     apart = 1 - np.clip(alike / np.maximum(fits, 1) / max(variance, 1e-30), 0, 1)
     means = shares @ soft_indicator(values, correlations.softness)
@@ -123,7 +124,7 @@ def density_slopes(
         max(float(g.max()) for g in weights),
         values,
         shares,
-        curves,
+        curves * (1 + apart),
         np.square(means)[:, None] * apart,
         euler_slopes(fields, weights),
     )

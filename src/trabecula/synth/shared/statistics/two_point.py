@@ -188,6 +188,11 @@ def soft_mean(histogram: Histogram, softness: float) -> float:
     return float((soft * counts).sum() / counts.sum())
 
 
+def soft_means(histograms: Sequence[Histogram], softness: float) -> np.ndarray:
+    """Return the means of the soft indicators of channels with these histograms, (C,) float64."""
+    return np.array([soft_mean(one, softness) for one in histograms])
+
+
 def soft_indicator(field: np.ndarray, softness: float) -> np.ndarray:
     """Return 0 .. 1 in float32 of a field in int8."""
     return _table(softness)[field.astype(np.int16) & 255]
