@@ -145,6 +145,20 @@ def test_a_field_is_held_to_its_fractions_whatever_the_threads():
     assert miss(results[0]) < 0.025 < 0.06 < miss(wavy())
 
 
+def test_a_shift_keeps_away_from_known_voxels():
+    even, field = held(np.full(SHAPE, 0.6, np.float32)), wavy()
+    free = np.ones(SHAPE, bool)
+    free[:16] = False
+    low, high = np.where(free, -127, field), np.where(free, 127, field)
+    region = Region(SHAPE, (True,) * 3, free, low.astype(np.int8), high.astype(np.int8))
+    before = field.copy()
+    hold_field(field, even.offset(region))
+    assert np.array_equal(field[:, :16], before[:, :16])
+    beside, beyond = (field[0, z] > 0 for z in (16, 28))
+    assert beside.mean() < beyond.mean() - 0.1
+    assert (field[0, 22:34] > 0).mean() == pytest.approx(0.6, abs=0.05)
+
+
 @pytest.mark.parametrize("periodic", [OPEN, (True, True, False)])
 def test_a_masked_field_is_met_inside_alone(periodic):
     exemplar = tb.crop(tb.sample("bone"), 48)

@@ -127,3 +127,53 @@ def test_joints_of_patches_and_of_graded_material_hardly_show(settings, target, 
     changes = np.mean(made.values[1:] != made.values[:-1], axis=(1, 2))
     assert np.array_equal(made.values[:held], piece.values[:held])
     assert changes[held - 1] < most * changes[held:].mean()
+
+
+@pytest.mark.whole
+def test_beside_known_voxels_a_field_is_held_and_nothing_is_copied(bone):
+    """What is made has the field's mean, whatever the known voxels have; before the whole had it,
+    and patches of a seventh of its places were the exemplar's.
+    """
+    shape, held = (64, 48, 48), 24
+    piece = tb.crop(bone, shape, corner=(0, 0, 0))
+    ramp = np.linspace(0.9, 0.78, shape[0], dtype=np.float32)[:, None, None] + np.zeros(shape)
+    exemplar = tb.crop(bone, 48, corner=(48, 48, 48))
+    request = tb.Request(
+        shape,
+        seed=2,
+        fixed=piece,
+        known=known_planes(shape, held),
+        target={"porosity": ramp.astype(np.float32)},
+    )
+    made = tb.method("texture").fit(exemplar).generate(request)
+    assert np.array_equal(made.values[:held], piece.values[:held])
+    void = made.values[held:] == 0
+    assert void.mean() == pytest.approx(ramp[held:].mean(), abs=0.003)
+    for part in (slice(0, 20), slice(20, 40)):
+        assert void[part].mean() == pytest.approx(ramp[held:][part].mean(), abs=0.02)
+    assert tb.measure.coherence(exemplar, made.values[held:], k=(4,))[4] < 0.12
+
+
+@pytest.mark.whole
+def test_a_field_beside_known_voxels_resumes_and_its_memory_is_forecast(
+    bone, tmp_path, monkeypatch
+):
+    shape = (40, 32, 32)
+    ramp = np.linspace(0.9, 0.78, shape[0], dtype=np.float32)[:, None, None] + np.zeros(shape)
+    request = tb.Request(
+        shape,
+        seed=3,
+        fixed=tb.crop(bone, shape, corner=(0, 0, 0)),
+        known=known_planes(shape, 14),
+        target={"porosity": ramp.astype(np.float32)},
+    )
+    model = tb.method("texture", sweeps=1, tries=2).fit(tb.crop(bone, 40))
+    folder = tmp_path / "files"
+    folder.mkdir()
+    values, report = check_in_files(model, request, folder)
+    assert "way" not in report
+    plan = model.plan(request)
+    arrays = plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
+    assert peak_bytes(lambda: model.make(request)) <= arrays
+    again = resume_after_search(6, model, request, tmp_path / "a.part", monkeypatch)
+    assert np.array_equal(again, values)

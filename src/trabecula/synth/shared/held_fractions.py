@@ -190,9 +190,10 @@ class HeldFractions:
         spectrum = pairs.forward(target.on_grid(about, shape))
         asked = pairs.curve(spectrum, spectrum)
         theirs = soft_means(histograms, target.softness)
-        asked_for, had, own = ((m - m * m) for m in (means, theirs, self.mean))
-        material = (asked_for / had.clip(1e-30))[:, None] * (target.curves - theirs[:, None] ** 2)
-        even = material - (asked_for / max(own, 1e-30))[:, None] * self.uneven
+        variance, theirs_had = means - means**2, (theirs - theirs**2).clip(1e-30)
+        own = max(self.mean - self.mean**2, 1e-30)
+        material = (variance / theirs_had)[:, None] * (target.curves - theirs[:, None] ** 2)
+        even = material - (variance / own)[:, None] * self.uneven
         return replace(target, curves=even + asked + means[:, None] ** 2)
 
     def _about(self, mean: np.float32, shape: tuple[int, ...], start: int, stop: int) -> np.ndarray:

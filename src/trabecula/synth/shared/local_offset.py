@@ -38,7 +38,7 @@ NARROWEST = 20
 """Voxels a side of the windows whose fraction is held, at least."""
 
 _LENGTHS, _WIDEST = 8.25, 100  # of the structure, of a window; voxels at most
-_FINE, _LESS = 11, 13.5  # the same of a fine structure, less voxels
+_FINE, _LESS = 12, 18  # the same of a fine structure, less voxels
 _BLOCKS = 5, 3  # of a window along every axis, whichever meets its width
 _NEAR = 32.0 * UNIT  # votes that count as near the interface: about a voxel
 _MOST = 40.0 * UNIT  # by which an offset moves in one step
@@ -221,13 +221,13 @@ class LocalOffset:
         self.offset = moved
 
     def blend(self, votes: np.ndarray, others: np.ndarray, *, whole: float) -> None:
-        """Go from votes (Z, Y, X) int16 to others, in place, as much of the way as the offset is of
-        `whole` votes.
+        """Go from votes (Z, Y, X) int16 to others, in place: all of the way where the offset is
+        `whole` votes or more, and where it is less, the square of its part of them.
         """
         wraps = np.array(self.region.wraps)
 
         def work(start: int, stop: int) -> None:
-            _go(
+            _blend(
                 votes,
                 others,
                 self._taken,
@@ -355,7 +355,7 @@ def _add(votes, shares, offset, edge, wraps, scale, most, start, stop):
 
 
 @kernel
-def _go(votes, others, shares, offset, edge, wraps, whole, start, stop):
+def _blend(votes, others, shares, offset, edge, wraps, whole, start, stop):
     """Go some of the way from votes to others, in some layers of blocks."""
     depth, height, width = votes.shape
     line, row = np.empty(offset.shape[2], np.float32), np.empty(width, np.float32)
@@ -365,6 +365,6 @@ def _go(votes, others, shares, offset, edge, wraps, whole, start, stop):
             _fill_row(offset, edge, wraps, z, y, line, before, behind, share, row)
             for x in range(width):
                 part = np.float32(shares[z, y, x]) / _SHARES if shares.size else _ALL
-                part = min(abs(row[x] * part) / whole, _ALL)
+                part = min(np.square(row[x] * part / whole), _ALL)
                 far = np.float32(np.int32(others[z, y, x]) - np.int32(votes[z, y, x]))
                 votes[z, y, x] += np.int16(np.rint(part * far))
