@@ -142,16 +142,20 @@ def settle_field(
     local = LocalOffset.of(region, fractions, window, shares_beside(region), HALF_A_VOXEL)
     most = _MOST * unit * UNIT
     local.find(votes[0], steps=_TRIED, most=most)
-    softened = memmap.empty(region.shape, np.int16)
-    for_slabs(lambda a, b: np.copyto(softened[a:b], votes[0, a:b]), len(softened))
-    soften(softened, region.wraps)
-    local.blend(votes[0], softened, whole=_SOFT * unit * UNIT)
-    del softened
+    local.blend(votes[0], _softened(votes[0], region), whole=_SOFT * unit * UNIT)
     local.shift(votes[0], steps=_STEPS, most=most)
     if place is not None:
         report["small_bodies"] = place(votes)
     upper, last = _split(votes, region, _count_free(fractions, region), struts)
     return upper, {"joins": joins + last, **report}
+
+
+def _softened(votes: np.ndarray, region: Region) -> np.ndarray:
+    """Return smoothed votes (Z, Y, X) int16."""
+    found = memmap.empty(votes.shape, np.int16)
+    for_slabs(lambda a, b: np.copyto(found[a:b], votes[a:b]), len(found))
+    soften(found, region.wraps)
+    return found
 
 
 def _split(
