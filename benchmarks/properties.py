@@ -75,7 +75,8 @@ def property_fields() -> None:
     """Fields of a property (section 3.2 of the 2016 paper): the law of the scan's windows, 120^3,
     a third of a side each, and a ramp of the property along z between their tenths, 128 x 64 x 64,
     seed 1, by `asked("METHODS")` (texture and quilt): mean over windows of what the result has,
-    over what was asked for, and at both ends.
+    over what was asked for, and at both ends; by the scan's law, and by that of what the method
+    makes (*own*).
     """
     known = {"sample bone": tb.sample("bone"), **scans()}
     row = table("scan, property", "c", "n", "scatter", "method", "ratio", "first", "last", "s")
@@ -88,19 +89,22 @@ def property_fields() -> None:
         low, high = (float(law.coefficient * one**law.exponent) for one in limits)
         wanted = fields.ramp(SHAPE, start=low, end=high)
         for method in asked("METHODS") or ["texture", "quilt"]:
-            model, target = tb.method(method).fit(exemplar), law.fraction(wanted)
-            request = tb.Request(SHAPE, seed=1, target={"volume_fraction": target})
-            seconds, made = busy(lambda m=model, r=request: m.generate(r))
-            ratios = _ratios(made, wanted, what, side=min(exemplar.shape) // 3)
-            row(
-                f"{name}, {what}",
-                f"{law.coefficient:.3g}",
-                f"{law.exponent:.2f}",
-                f"{law.scatter:.2f}",
-                method,
-                *(f"{one:.2f}" for one in (ratios.mean(), ratios[0], ratios[-1])),
-                f"{seconds:.0f}",
-            )
+            model = tb.method(method).fit(exemplar)
+            own = fields.property_law(exemplar, what, model=model)
+            for words, taken in ((method, law), (f"{method}, own", own)):
+                target = {"volume_fraction": taken.fraction(wanted)}
+                request = tb.Request(SHAPE, seed=1, target=target)
+                seconds, made = busy(lambda m=model, r=request: m.generate(r))
+                ratios = _ratios(made, wanted, what, side=min(exemplar.shape) // 3)
+                row(
+                    f"{name}, {what}",
+                    f"{taken.coefficient:.3g}",
+                    f"{taken.exponent:.2f}",
+                    f"{taken.scatter:.2f}",
+                    words,
+                    *(f"{one:.2f}" for one in (ratios.mean(), ratios[0], ratios[-1])),
+                    f"{seconds:.0f}",
+                )
 
 
 def _ratios(made: tb.Image, wanted: tb.Image, what: str, *, side: int) -> np.ndarray:

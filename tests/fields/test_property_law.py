@@ -76,3 +76,43 @@ def test_the_command_writes_the_fraction_and_its_recipe_makes_it_again(tmp_path,
     made = tb.read("fraction.tif")
     assert made.values == pytest.approx(np.load("asked.npy"), abs=1e-3)
     assert (tb.rerun("fraction.tif").values == made.values).all()
+
+
+class Slotted:
+    """Makes plates across z whose fraction is asked for, with a slot through every other one."""
+
+    def generate(self, shape, *, seed, target):
+        along = np.asarray(target["volume_fraction"])[:, 0, 0]
+        made, owed, number = np.zeros(shape, np.uint8), 0.0, 0
+        for z, part in enumerate(along):
+            owed += part
+            if owed >= 0.5:
+                made[z], owed, number = 1, owed - 1, number + 1
+                made[z, :, seed::8] = number % 2
+        self.shape, self.ends = shape, (along[0], along[-1])
+        return tb.Image(made, "labels", phases=("void", "solid"))
+
+
+def test_the_law_of_a_model_is_that_of_what_it_makes(law):
+    model = Slotted()
+    own = fields.property_law(plates(), "conductivity:x", window=16, count=12, model=model, seed=7)
+    assert model.shape == (80, 32, 32)
+    assert model.ends == pytest.approx((0.125, 0.375))
+    # half of its plates lead nowhere
+    assert own.coefficient * 0.25**own.exponent == pytest.approx(0.5 * 0.25, rel=0.2)
+    assert law.coefficient * 0.25**law.exponent == pytest.approx(0.25, rel=0.01)
+    assert own.low < 0.16 and own.high > 0.34
+
+
+@pytest.mark.whole
+def test_the_command_takes_the_law_of_a_method(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    tb.write(tb.crop(tb.sample("bone"), 60), "bone.tif")
+    np.save("asked.npy", fields.ramp((8, 4, 4), start=0.06, end=0.08).values)
+    words = ["field", "property", "bone.tif", "conductivity", "asked.npy"]
+    assert main([*words, "--out", "fraction.tif"]) == 0
+    first, told = tb.read("fraction.tif").values, capsys.readouterr().err
+    assert main([*words, "--method", "texture", "--out", "own.tif"]) == 0
+    own, then = tb.read("own.tif").values, capsys.readouterr().err
+    assert "conductivity = " in told and told != then
+    assert own.mean() > first.mean() + 0.005  # even material conducts less

@@ -82,6 +82,9 @@ def test_the_next_porosity_lies_where_results_bound_it():
     assert _next(trials, [(0.5, 20.0)], 10.0) == pytest.approx(0.5 - 0.3 * np.log10(2))
     # results on both sides rule
     assert 0.4 < _next(trials, [(0.5, 20.0), (0.4, 8.0)], 10.0) < 0.5
+    # the nearest names one that was made already, and had less: it goes on from that
+    made = [(0.5, 9.0), (0.5 + 0.3 * np.log10(10 / 9), 8.0)]
+    assert _next(trials, made, 10.0) == pytest.approx(made[1][0] + 0.3 * np.log10(10 / 8))
     # of two crossings the nearer one
     hump = [(0.1, 1.0), (0.5, 9.0), (0.9, 1.0)]
     assert _crossing(hump, 3.0, near=0.8) == pytest.approx(0.7)

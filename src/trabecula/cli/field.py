@@ -90,6 +90,12 @@ def _add_property(parser: argparse.ArgumentParser) -> None:
         "--window", metavar="N", help="side of the windows in voxels (default: a third)"
     )
     parser.add_argument("--count", default="24", metavar="N", help="windows solved (default 24)")
+    parser.add_argument(
+        "--method", metavar="NAME", help="windows of what this method makes, not of the exemplar"
+    )
+    parser.add_argument(
+        "--seed", default="0", metavar="N", help="of what the method makes (default 0)"
+    )
     shared.add_reading(parser)
 
 
@@ -98,8 +104,18 @@ def _property(fields: Any, options: argparse.Namespace) -> Any:
 
     exemplar = shared.load_exemplar(options.file, options)
     window = None if options.window is None else shared.integer(options.window, name="--window")
+    model = None
+    if options.method is not None:
+        from trabecula.synth.api.registry import method
+
+        model = method(options.method).fit(exemplar)
     law = fields.property_law(
-        exemplar, options.name, window=window, count=shared.integer(options.count, name="--count")
+        exemplar,
+        options.name,
+        window=window,
+        count=shared.integer(options.count, name="--count"),
+        model=model,
+        seed=shared.integer(options.seed, name="--seed"),
     )
     terminal.note(str(law))
     return law.fraction(load(options.values, threshold="none", kind="grey"))

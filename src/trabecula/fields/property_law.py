@@ -4,7 +4,8 @@ field of the property becomes one of the fraction.
 Liu and Shapiro 2016, section 3.2: a target property P is replaced by a descriptor D that goes with
 it, P = a(D), wherever a can be inverted. Here D is the fraction x of the phase that carries, and
 a(x) = c x^n, the law of cellular materials (Gibson, Ashby 1997) and of topology optimisation. It is
-fitted to windows of the exemplar, each solved by itself.
+fitted to windows of the exemplar, each solved by itself; or to windows of what a model makes of it,
+which is more even within a window than the exemplar, or less, and has another law.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +39,15 @@ _FEWEST = 8  # windows that a law is fitted to
 _SPAN = 1.1  # largest over least fraction of them
 _EXPONENTS = (0.05, 12.0)
 _HALVINGS = 60  # of the interval that holds the exponent
+_PROBE = 5, 2, 2  # windows a side of what a model makes for its law
+
+
+class Maker(Protocol):
+    """What makes material of a field of the solid's volume fraction: a model."""
+
+    def generate(self, shape: Any, *, seed: Any, target: Any) -> Image:
+        """Make it."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -102,9 +113,16 @@ class PropertyLaw:
 
 
 def property_law(
-    exemplar: Image | ArrayLike, name: str, *, window: int | None = None, count: int = 24
+    exemplar: Image | ArrayLike,
+    name: str,
+    *,
+    window: int | None = None,
+    count: int = 24,
+    model: Maker | None = None,
+    seed: int = 0,
 ) -> PropertyLaw:
-    """Fit the power law between a property and the volume fraction of an exemplar's windows.
+    """Fit the power law between a property and the volume fraction of an exemplar's windows, or of
+    windows that a model makes.
 
     Parameters
     ----------
@@ -118,6 +136,12 @@ def property_law(
         Windows of less than two or three pores a side are softer or stiffer than the material.
     count : int
         Windows that are solved, 8 .. 1000, spread evenly over the fractions that there are.
+    model : Model, optional
+        Of the exemplar, by a method that takes a field of the volume fraction. It makes 5 x 2 x 2
+        windows, along z from the least to the largest fraction of the exemplar's, and the law is
+        that of their windows: choose it where the field is for this model.
+    seed : int
+        Of what the model makes.
 
     Returns
     -------
@@ -147,6 +171,8 @@ def property_law(
     check_name(word, CARRIES, name="property")
     side = _window(image, window)
     number = int(as_number(count, name="count", low=_FEWEST, high=1000, whole=True))
+    if model is not None:
+        image = _make_ramp(image, side, model, seed)
     corners, fractions = _choose_windows(image, side, number, void=CARRIES[word] == "void")
     values = np.array(
         [
@@ -205,6 +231,16 @@ def _window(image: Image, window: int | None) -> int:
     if window is None:
         return max(_LEAST, shortest // 3)
     return int(as_number(window, name="window", low=_LEAST, high=shortest // 2, whole=True))
+
+
+def _make_ramp(exemplar: Image, side: int, model: Maker, seed: int) -> Image:
+    """Make windows of every fraction that an exemplar's windows have, along z."""
+    found = windowed(exemplar, size=side)["volume_fraction"]
+    shape = tuple(count * side for count in _PROBE)
+    middles = np.array([side / 2, shape[0] - side / 2])  # of the first and the last window
+    along = np.interp(np.arange(shape[0]), middles, [float(found.min()), float(found.max())])
+    ramp = np.ascontiguousarray(np.broadcast_to(along[:, None, None], shape), np.float32)
+    return model.generate(shape, seed=seed, target={"volume_fraction": ramp})
 
 
 def _cut(image: Image, corner: Sequence[int], side: int) -> Image:

@@ -166,7 +166,7 @@ def match_property(
         if error <= limit:
             break
         porosity = _next(trials, made, wanted)
-        if min(abs(porosity - done) for done, _ in made) < _NEAR:
+        if not _is_new(porosity, made):
             break
     assert best is not None
     _, image, now = best
@@ -282,19 +282,28 @@ def _next(trials: Sequence[Point], made: Sequence[Point], asked: float) -> float
     bracket = _crossing(done, asked, near=made[-1][0])
     if bracket is not None:
         return bracket
-    porosity, value = min(made, key=lambda one: abs(one[1] - asked))
-    # the map at the level of what was measured
+    nearest = sorted(made, key=lambda one: abs(one[1] - asked))
+    porosity, value = nearest[0]
+    # the map at the level of what was measured; results scatter, so that one that is denser may
+    # have more: the next nearest says where to go on from there
     known = np.array([one for one in trials if one[1] > 0])
-    if value > 0 and len(known) > 1:
-        here = float(np.exp(np.interp(porosity, known[:, 0], np.log(known[:, 1]))))
-        moved = [(one, other * value / here) for one, other in known.tolist()]
-        found = _crossing(moved, asked, near=porosity)
-        if found is not None:
+    for there, measured in nearest:
+        if measured <= 0 or len(known) < 2:
+            continue
+        here = float(np.exp(np.interp(there, known[:, 0], np.log(known[:, 1]))))
+        moved = [(one, other * measured / here) for one, other in known.tolist()]
+        found = _crossing(moved, asked, near=there)
+        if found is not None and _is_new(found, made):
             return found
     low, high = trials[0][0], trials[-1][0]
     rises = trials[-1][1] > trials[0][1]
     step = _STEP if (value < asked) == rises else -_STEP
     return min(high, max(low, porosity + step))
+
+
+def _is_new(porosity: float, made: Sequence[Point]) -> bool:
+    """Return whether a porosity is none that was made."""
+    return min(abs(porosity - done) for done, _ in made) >= _NEAR
 
 
 def _crossing(points: Sequence[Point], asked: float, *, near: float) -> float | None:

@@ -3,7 +3,7 @@
 New material has been held to its fractions on coarse levels (`held_fractions`): its field is joined
 and shifted by little (`settle_field`). Where that is a voxel or more, as beyond what the exemplar
 holds, the votes are smoothed first: shifted as they are they end in grain (Berea from .09 to .29 of
-pores had 2.4 times its loops). From patches more is left to do (`settle_shape`): votes blur
+pores had 2.4 times its loops); not where bodies are hardly wider than a voxel. From patches more is left to do (`settle_shape`): votes blur
 where neighbourhoods do not agree, and a shift of such a field brings up grain and combs. So the
 interface that was voted for is kept, and moved along its own distance:
 
@@ -126,6 +126,7 @@ def settle_field(
     *,
     unit: float,
     window: int,
+    smooth: bool = True,
     place: Callable[[np.ndarray], dict[str, Any]] | None = None,
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Do `settle_shape` on the field itself, where it has been held to its fractions: without
@@ -141,8 +142,9 @@ def settle_field(
         del field
     local = LocalOffset.of(region, fractions, window, shares_beside(region), HALF_A_VOXEL)
     most = _MOST * unit * UNIT
-    local.find(votes[0], steps=_TRIED, most=most)
-    local.blend(votes[0], _softened(votes[0], region), whole=_SOFT * unit * UNIT)
+    if smooth:
+        local.find(votes[0], steps=_TRIED, most=most)
+        local.blend(votes[0], _softened(votes[0], region), whole=_SOFT * unit * UNIT)
     local.shift(votes[0], steps=_STEPS, most=most)
     if place is not None:
         report["small_bodies"] = place(votes)

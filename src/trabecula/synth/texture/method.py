@@ -612,14 +612,18 @@ class TextureModel(Model):
         bounds = self._bounds(request)
         region = regions_of(request, 1, bounds, self._quantise)[0]
         fractions = target_fractions(request, self.content.present, self.content.empty)
-        given = votes, region, fractions, self._struts[0] if self._struts else None
-        unit, window = FULL / self.config.clip, self._held_width
+        settle = partial(
+            settle_field if new else settle_shape,
+            *(votes, region, fractions, self._struts[0] if self._struts else None),
+            unit=FULL / self.config.clip,
+            window=self._held_width,
+            smooth=self._length >= _FINE,
+        )
         if new:
             place = partial(self._settle_bodies, request=average_target(request, free=True))
-            upper, report = settle_field(*given, unit=unit, window=window, place=place)
+            upper, report = settle(place=place)
         else:
-            smooth = self._length >= _FINE
-            upper, report = settle_shape(*given, unit=unit, window=window, smooth=smooth)
+            upper, report = settle()
         return self.content.from_upper(upper, request), report
 
     def _settle_bodies(self, votes: np.ndarray, request: Request) -> dict[str, Any]:
