@@ -33,6 +33,7 @@ _WIDEST = (0.02, 0.98)  # porosities of trials where the exemplar sets no bounds
 _STEP = 0.05  # of porosity, where a map says nothing of the next
 _DIGITS = 6  # of a porosity
 _NEAR = 1e-4  # of a porosity to one that was made: it would be much the same result
+_JUMP = 3e-3  # of porosity between results, within which they differ by chance
 
 Point = tuple[float, float]
 """A porosity, and the property of material that was made with it."""
@@ -279,8 +280,9 @@ def _first(trials: Sequence[Point], name: str, asked: float, model: Model) -> fl
 def _next(trials: Sequence[Point], made: Sequence[Point], asked: float) -> float:
     """Return the porosity of the next result."""
     done = sorted(made)
-    bracket = _crossing(done, asked, near=made[-1][0])
-    if bracket is not None:
+    apart = [done[0], *(one for before, one in pairwise(done) if one[0] - before[0] > _JUMP)]
+    bracket = _crossing(apart, asked, near=made[-1][0])
+    if bracket is not None and _is_new(bracket, made):
         return bracket
     nearest = sorted(made, key=lambda one: abs(one[1] - asked))
     porosity, value = nearest[0]

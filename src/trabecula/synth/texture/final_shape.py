@@ -3,9 +3,11 @@
 New material has been held to its fractions on coarse levels (`held_fractions`): its field is joined
 and shifted by little (`settle_field`). Where that is a voxel or more, as beyond what the exemplar
 holds, the votes are smoothed first: shifted as they are they end in grain (Berea from .09 to .29 of
-pores had 2.4 times its loops); not where bodies are hardly wider than a voxel. From patches more is left to do (`settle_shape`): votes blur
-where neighbourhoods do not agree, and a shift of such a field brings up grain and combs. So the
-interface that was voted for is kept, and moved along its own distance:
+pores had 2.4 times its loops). Not where bodies are hardly wider than a voxel.
+
+From patches more is left to do (`settle_shape`): votes blur where neighbourhoods do not agree, and
+a shift of such a field brings up grain and combs. So the interface that was voted for is kept, and
+moved along its own distance:
 
 1. Join the components of the solid (`joined`), at a strut's thickness.
 2. Replace the field by the signed distance to the interface, smoothed by a voxel: distances to
