@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import trabecula as tb
+from trabecula.core.progress import listen
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.memory import check_releases
 from trabecula.synth.shared import novel_layout
@@ -39,15 +40,17 @@ def resume_after_search(call, model, request, path, monkeypatch):
     write_every_checkpoint(monkeypatch)
     own, done = novel_layout.coherent_search, []
 
-    def broken(*parts, **settings):
+    def counted(*parts, **settings):
         done.append(call)
         if len(done) == call:
             raise KeyboardInterrupt
         return own(*parts, **settings)
 
-    monkeypatch.setattr(novel_layout, "coherent_search", broken)
+    monkeypatch.setattr(novel_layout, "coherent_search", counted)
     with pytest.raises(KeyboardInterrupt), checkpoint.kept_at(path):
-        model.make(request)
-    with checkpoint.kept_at(path):
-        values, _ = model.make(request)
+        model.generate(request)
+    resumed = []
+    with listen(lambda line, fraction: resumed.append(line)), checkpoint.kept_at(path):
+        values = model.generate(request).values
+    assert any("resuming from" in line for line in resumed), "it began anew"
     return values

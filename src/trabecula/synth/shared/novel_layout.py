@@ -309,6 +309,8 @@ class NovelRounds(CoarseToFine[Any]):
         unused = [iter(aim.candidates) for aim in aims]
         self.candidates = [next(unused[part.level]) for part in schedule]
         self.debt: np.ndarray | None = None
+        # number of a pass, and the means of its soft indicators where fractions are held
+        self.means: np.ndarray | None = None
         self.rounds = 0 if slices is None else _SLICED[config.layout][0]
         self.on_torus = is_whole(config.layout) and takes_steps(request, config.layout)
         self._aim: tuple[int, Correlations, np.ndarray | None] | None = None  # of a pass
@@ -624,13 +626,14 @@ class NovelRounds(CoarseToFine[Any]):
 
     def _held_aim(self, stage: PassStage, target: Correlations) -> tuple[Correlations, np.ndarray]:
         """Return a target for material that is held to fractions, and the means of its soft
-        indicators: as the field has them now.
+        indicators: as the field has them at the first step of the pass.
         """
-        grid, field = stage.grid, self.work["field"]
-        soft = [Soft.of(one, target.softness, grid.region.free) for one in field]
-        means = np.array([float(one.mean_and_moving()[0]) for one in soft])
-        held = self.held[stage.part.level]
-        return held.aim(target, grid.targets, means, grid.region.shape), means
+        grid, held = stage.grid, self.held[stage.part.level]
+        if self.means is None or self.means[0] != stage.number:
+            soft = [Soft.of(one, target.softness, grid.region.free) for one in self.work["field"]]
+            means = (float(one.mean_and_moving()[0]) for one in soft)
+            self.means = np.array([stage.number, *means])
+        return held.aim(target, grid.targets, self.means[1:], grid.region.shape), self.means[1:]
 
     def _step(self, target: Correlations, beyond: float, renew: bool) -> np.ndarray:
         """Take a step on the two-point function that aims beyond the target by the debt, which the
@@ -650,11 +653,12 @@ class NovelRounds(CoarseToFine[Any]):
         arrays = {"field": self.work["field"], "match": self.work["match0"]}
         if stage.last and number == stage.rounds - 1:
             arrays["votes"] = self.work["votes"]
-        return arrays if self.debt is None else {**arrays, "debt": self.debt}
+        more = {"debt": self.debt, "means": self.means}
+        return {**arrays, **{name: one for name, one in more.items() if one is not None}}
 
     def restore(self, stage: NovelLayoutStage | PassStage, arrays: dict[str, np.ndarray]) -> None:
         """Take over the arrays of a checkpoint."""
-        self.debt = arrays.pop("debt", None)
+        self.debt, self.means = arrays.pop("debt", None), arrays.pop("means", None)
         if isinstance(stage, NovelLayoutStage):
             self._open_layout(stage)
         else:
