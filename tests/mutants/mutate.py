@@ -278,9 +278,11 @@ def main() -> int:
 
     def attempt(mutant: Mutant) -> tuple[str, float]:
         copy = copies.get()
-        result, seconds = try_mutant(mutant, base, copy)
+        try:
+            result, seconds = try_mutant(mutant, base, copy)
+        finally:  # else the others would wait for it without end
+            copies.put(copy)
         print(f"{result:<9} {seconds:5.1f} s  {mutant.file}: {mutant.reason}", flush=True)
-        copies.put(copy)
         return result, seconds
 
     with ThreadPoolExecutor(chosen.jobs) as pool:

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from texture_runs import check_in_files, resume_after_search
+from texture_runs import check_in_files, check_memory, resume_after_search
 
 import trabecula as tb
 from trabecula.synth.shared import novel_layout
 from trabecula.synth.shared.known_part import has_room_beside
-from trabecula.testing.peak import peak_bytes
 
 SHAPE = (48, 32, 33)
 HELD = 24  # planes
@@ -81,9 +80,7 @@ def test_known_voxels_at_one_face_are_not_next_to_free_ones_at_the_other():
 
 @pytest.mark.whole
 def test_memory_is_forecast(model, request_, made):
-    plan = model.plan(request_)
-    arrays = plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
-    assert peak_bytes(lambda: model.make(request_)) <= arrays
+    check_memory(model, request_)
 
 
 def test_where_little_is_free_known_voxels_are_met_from_level_1_on():
@@ -172,8 +169,6 @@ def test_a_field_beside_known_voxels_resumes_and_its_memory_is_forecast(
     folder.mkdir()
     values, report = check_in_files(model, request, folder)
     assert "way" not in report
-    plan = model.plan(request)
-    arrays = plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
-    assert peak_bytes(lambda: model.make(request)) <= arrays
+    check_memory(model, request)
     again = resume_after_search(6, model, request, tmp_path / "a.part", monkeypatch)
     assert np.array_equal(again, values)

@@ -8,6 +8,7 @@ from trabecula.core.progress import listen
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.memory import check_releases
 from trabecula.synth.shared import novel_layout
+from trabecula.testing.peak import peak_bytes
 
 
 class StoppedError(Exception):
@@ -25,6 +26,13 @@ def check_in_files(model, request, folder):
         del values
     assert not list(folder.iterdir()), "a file stayed"
     return at_once, report
+
+
+def check_memory(model, request):
+    """Check that a run's arrays are forecast."""
+    plan = model.plan(request)
+    arrays = plan.peak - plan.memory["interpreter and kernels"] - plan.memory["exemplar"]
+    assert peak_bytes(lambda: model.make(request)) <= arrays
 
 
 def write_every_checkpoint(monkeypatch):

@@ -22,7 +22,6 @@ from trabecula.engine.parallel import for_slabs
 from trabecula.synth.shared.box_sums import window_sums
 from trabecula.synth.shared.content.fields import UNIT
 from trabecula.synth.shared.content.histogram import Histogram
-from trabecula.synth.shared.known_part import shares_beside
 from trabecula.synth.shared.local_offset import HALF_A_VOXEL, PARTS, LocalOffset
 from trabecula.synth.shared.matching.grid import Grid, append_guide
 from trabecula.synth.shared.matching.region import Region
@@ -146,9 +145,9 @@ class HeldFractions:
     periodic: tuple[bool, ...]
     mask: np.ndarray | None = None
 
-    def offset(self, region: Region) -> LocalOffset:
-        """Return the offset that meets the fractions on a torus; beside its known voxels it shifts
-        less.
+    def offset(self, region: Region, shares: np.ndarray | None = None) -> LocalOffset:
+        """Return the offset that meets the fractions on a torus, by whose `shares` it shifts less
+        beside known voxels (`shares_beside`).
         """
         shape, counted = region.shape, region.free
         if self.mask is not None:
@@ -156,7 +155,6 @@ class HeldFractions:
             inside[tuple(map(slice, self.mask.shape))] = self.mask[tuple(map(slice, shape))]
             counted = inside if counted is None else inside & counted
         counting = Region(shape, self.periodic, counted)
-        shares = shares_beside(region)
         return LocalOffset.of(counting, self.fractions, self.width, shares, HALF_A_VOXEL)
 
     def guide(self, grid: Grid, offset: LocalOffset) -> Grid:

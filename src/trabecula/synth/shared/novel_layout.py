@@ -29,7 +29,13 @@ from trabecula.synth.shared.coarse_to_fine import CoarseToFine, RoundStage
 from trabecula.synth.shared.content.fields import noise, votes_of
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.held_fractions import HeldFractions, hold_field
-from trabecula.synth.shared.known_part import KnownPart, hold_move, is_a_sample, known_stages
+from trabecula.synth.shared.known_part import (
+    KnownPart,
+    hold_move,
+    is_a_sample,
+    known_stages,
+    shares_beside,
+)
 from trabecula.synth.shared.local_offset import LocalOffset
 from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_matches, targets_of
 from trabecula.synth.shared.matching.region import Region
@@ -347,7 +353,8 @@ class NovelRounds(CoarseToFine[Any]):
         offset = None
         if self.graded:
             held = self.held[part.level]
-            offset = held.offset(region)
+            # on the finest level little would be left to vote for what was shifted
+            offset = held.offset(region, shares_beside(region) if part.level else None)
             grid = held.guide(grid, offset)
         later = self.schedule[place:]
         del self.regions[later[0].level + 1 if later else 0 :]
@@ -364,7 +371,6 @@ class NovelRounds(CoarseToFine[Any]):
             aims.euler,
             key(self.request.seed, f"novel/pass {number}"),
             number == len(self.schedule) - 1,
-            # on the finest level little would be left to vote for what was shifted
             offset if part.level else None,
         )
 
@@ -416,7 +422,7 @@ class NovelRounds(CoarseToFine[Any]):
         if self.graded:
             guide = Array((*level.grids[0], 1), np.int16, axis=-4)
             held = {**level.held, "guide": guide, "fractions": Array(shape, np.float32)}
-            if known:
+            if known and part.level:
                 held["offset shares"] = Array(shape, np.uint8)
             level = replace(level, guides=1, held=held)
         if part.steps:

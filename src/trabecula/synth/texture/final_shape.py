@@ -150,7 +150,7 @@ def settle_field(
     local.shift(votes[0], steps=_STEPS, most=most)
     if place is not None:
         report["small_bodies"] = place(votes)
-    upper, last = _split(votes, region, _count_free(fractions, region), struts)
+    upper, last = _split(votes, region, _count_of(fractions, region, alone=True), struts)
     return upper, {"joins": joins + last, **report}
 
 
@@ -210,24 +210,9 @@ def _distances(field: np.ndarray, region: Region, unit: float) -> np.ndarray:
     return votes
 
 
-def _count_free(fractions: np.ndarray, region: Region) -> int:
-    """Return how many free voxels are to be of the upper phase, so that they have the mean of
-    fractions (Z, Y, X).
-    """
-    sums, free = np.zeros(len(fractions)), region.free
-
-    def work(start: int, stop: int) -> None:
-        for z in range(start, stop):
-            made = True if free is None else free[z]
-            sums[z] = fractions[z].sum(dtype=np.float64, where=made)
-
-    for_slabs(work, len(sums))
-    return round(float(sums.sum()))
-
-
-def _count_of(fractions: np.ndarray, region: Region) -> int:
-    """Return how many free voxels are to be of the upper phase, so that free and known ones
-    together have the mean of fractions (Z, Y, X).
+def _count_of(fractions: np.ndarray, region: Region, *, alone: bool = False) -> int:
+    """Return how many free voxels are to be of the upper phase, so that they `alone`, or free and
+    known ones together, have the mean of fractions (Z, Y, X).
     """
     sums = np.zeros(len(fractions))
     free, low, high = region.free, region.low, region.high
@@ -236,7 +221,7 @@ def _count_of(fractions: np.ndarray, region: Region) -> int:
         for z in range(start, stop):
             made = None if free is None else free[z]
             sums[z] = fractions[z].sum(dtype=np.float64, where=True if made is None else made)
-            if low is not None and high is not None:
+            if not alone and low is not None and high is not None:
                 known = (low[0, z] > 0) | (high[0, z] <= 0)  # others are outside of a form
                 known &= True if made is None else ~made
                 sums[z] += fractions[z].sum(dtype=np.float64, where=known)

@@ -612,9 +612,10 @@ class TextureModel(Model):
         bounds = self._bounds(request)
         region = regions_of(request, 1, bounds, self._quantise)[0]
         fractions = target_fractions(request, self.content.present, self.content.empty)
+        struts = self._struts[0] if self._struts else None
         settle = partial(
             settle_field if new else settle_shape,
-            *(votes, region, fractions, self._struts[0] if self._struts else None),
+            *(votes, region, fractions, struts),
             unit=FULL / self.config.clip,
             window=self._held_width,
             smooth=self._length >= _FINE,
