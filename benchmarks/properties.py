@@ -26,10 +26,11 @@ TARGETS = {
 
 def properties() -> None:
     """Twenty targets, 96^3 by the default of `texture`, seed 0: five properties of four materials,
-    each off the scan's own value. Seconds are of the processor, trials and solvers included.
+    each off the scan's own value: results made, and moves of the surface of the nearest. Seconds
+    are of the processor, trials and solvers included.
     """
     known = {"sample foam": tb.sample("foam"), **scans()}
-    row = table("target", "scan's own", "asked", "found", "off", "results", "s", wide=32)
+    row = table("target", "scan's own", "asked", "found", "off", "results", "moves", "s", wide=32)
     within = done = 0
     for name in MATERIALS:
         scan = known.get(name)
@@ -46,7 +47,7 @@ def properties() -> None:
                     lambda w=what, a=factor * own, m=model: match_property(m, SIDE, {w: a})
                 )
             except RequestError as error:
-                row(words, f"{own:.4g}", f"{factor * own:.4g}", "refused", "", "", "")
+                row(words, f"{own:.4g}", f"{factor * own:.4g}", "refused", "", "", "", "")
                 print(f"  {error}")
                 continue
             within += abs(found.error) <= 0.05
@@ -57,6 +58,7 @@ def properties() -> None:
                 f"{found.value:.4g}",
                 f"{found.error:+.1%}",
                 len(found.made),
+                len(found.moved),
                 f"{seconds:.0f}",
             )
     print(f"\nwithin 5 %: {within} of {done}")

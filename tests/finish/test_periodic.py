@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 import trabecula as tb
-from trabecula.finish import connect, periodic, prune, remove_floaters, smooth, thicken
+from trabecula.finish import connect, offset, periodic, prune, remove_floaters, smooth, thicken
 from trabecula.finish.struts import balls
 from trabecula.measure import components, label_components
 from trabecula.measure.labelling import joined_across
@@ -28,6 +28,9 @@ def report(image):
 OPERATIONS = {
     "smooth": lambda image, **more: smooth(image, sigma=1.3, **more),
     "thicken": lambda image, **more: thicken(image, thickness=5, **more),
+    "offset": lambda image, **more: offset(
+        image, fraction=0.3 if more["mask"] is None else 0.4, **more
+    ),
     "connect": lambda image, **more: connect(image, min_size=2, **more),
     "connect near": lambda image, **more: connect(image, min_size=2, reach=4, **more),
     "prune": prune,

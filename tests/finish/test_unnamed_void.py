@@ -13,6 +13,7 @@ OPERATIONS = {
     "fill_trapped": {},
     "smooth": {"sigma": 0.7},
     "thicken": {"thickness": 3},
+    "offset": {"fraction": 0.07},
 }
 
 

@@ -753,6 +753,7 @@ OPERATIONS: dict[str, Callable[[], Any]] = {
     "prune-exemplar": lambda: tb.finish.prune(rough(), exemplar=bone(32), mask=ball((32, 32, 32))),
     "smooth": lambda: tb.finish.smooth(rough(), sigma=50.0),
     "thicken": lambda: tb.finish.thicken(rough(), thickness=120.0),
+    "offset": lambda: tb.finish.offset(rough(), fraction=0.2),
     "remove_floaters": lambda: tb.finish.remove_floaters(rough()),
     "remove_floaters-small": lambda: tb.finish.remove_floaters(rough(), smaller_than=50),
     "mend_contacts": lambda: tb.finish.mend_contacts(rough()),

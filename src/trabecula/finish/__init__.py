@@ -10,6 +10,7 @@ from trabecula.finish.crust import add_crust
 from trabecula.finish.drain import drain
 from trabecula.finish.floaters import remove_floaters
 from trabecula.finish.forms import mask_steps, periodic_axes
+from trabecula.finish.offset import offset
 from trabecula.finish.operations import OPERATIONS
 from trabecula.finish.printing import PrintCheck, print_check
 from trabecula.finish.prune import prune
@@ -30,6 +31,7 @@ __all__ = [
     "fit_scan",
     "mask_steps",
     "mend_contacts",
+    "offset",
     "periodic_axes",
     "print_check",
     "prune",

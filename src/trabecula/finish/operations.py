@@ -19,6 +19,7 @@ from trabecula.finish.contacts import mend_contacts
 from trabecula.finish.crust import add_crust
 from trabecula.finish.drain import drain
 from trabecula.finish.floaters import remove_floaters, remove_floaters_in_place
+from trabecula.finish.offset import offset
 from trabecula.finish.prune import prune
 from trabecula.finish.smooth import smooth
 from trabecula.finish.thicken import thicken
@@ -178,6 +179,19 @@ _DECLARED = (
         inputs=("mask",),
     ),
     Operation(
+        "offset",
+        offset,
+        Option(
+            "--offset",
+            "move the surface until the phase has this volume fraction, 0 .. 1: nothing joins or "
+            "breaks",
+            setting="fraction",
+            metavar="F",
+        ),
+        bytes_per_voxel=22,
+        inputs=("mask",),
+    ),
+    Operation(
         "remove_floaters",
         remove_floaters,
         Option("--floaters", "remove every component but the largest"),
@@ -216,6 +230,6 @@ _DECLARED = (
 
 OPERATIONS: dict[str, Operation] = {operation.name: operation for operation in _DECLARED}
 """By name, in the order in which `trabecula finish` runs them: whole struts first, then the
-wall that they end on, one component, its surface, its strength, and last what these left loose or
-closed.
+wall that they end on, one component, its surface, its strength, its volume, and last what these
+left loose or closed.
 """

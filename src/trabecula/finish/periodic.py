@@ -9,6 +9,8 @@ from itertools import product
 
 import numpy as np
 
+from trabecula.measure.smooth import gaussian, reach_of
+
 
 def periodic_setting(wraps: Sequence[bool]) -> list[bool] | bool:
     """Return `wraps` as a recipe's step records it: False where no axis is periodic."""
@@ -76,6 +78,19 @@ def crop_margins(values: np.ndarray, margins: Sequence[int]) -> np.ndarray:
             slice(margin, side - margin) for margin, side in zip(margins, values.shape, strict=True)
         )
     ]
+
+
+def gaussian_around(
+    values: np.ndarray, widths: Sequence[float], wraps: Sequence[bool]
+) -> np.ndarray:
+    """Return the Gaussian of an array that continues across its periodic faces; widths in voxels,
+    one per axis.
+    """
+    margins = [
+        reach_of(width) if wrap and side > 1 else 0
+        for width, wrap, side in zip(widths, wraps, values.shape, strict=True)
+    ]
+    return crop_margins(gaussian(pad_wrapped(values, margins), widths), margins)
 
 
 def periodic_images(at: np.ndarray, margins: Sequence[int], shape: Sequence[int]) -> np.ndarray:

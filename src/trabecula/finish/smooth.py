@@ -12,9 +12,8 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image
 from trabecula.finish.forms import as_form, form_recipe
 from trabecula.finish.labels import background_of, check_present, relabel, with_step
-from trabecula.finish.periodic import crop_margins, pad_wrapped, periodic_setting
+from trabecula.finish.periodic import gaussian_around, periodic_setting
 from trabecula.measure.phases import as_periodic, indicator
-from trabecula.measure.smooth import gaussian, reach_of
 
 
 def smooth(
@@ -75,11 +74,11 @@ def smooth(
     # Other phases stay as they are: voxels change between the phase and the background alone.
     free = inside | (image.values == background)
     if form is None:
-        level = _gaussian_around(inside, widths, wraps)
+        level = gaussian_around(inside, widths, wraps)
     else:
         free &= form
-        level = _gaussian_around(inside & form, widths, wraps)
-        level /= np.where(form, _gaussian_around(form, widths, wraps), np.float32(1))
+        level = gaussian_around(inside & form, widths, wraps)
+        level /= np.where(form, gaussian_around(form, widths, wraps), np.float32(1))
     check_present(bool((inside & free).any()), phase, "to smooth inside the form")
     after, cut = _cut_at_volume(level, free, int(np.count_nonzero(inside & free)))
     after |= inside & ~free
@@ -91,17 +90,6 @@ def smooth(
     }
     settings = {"sigma": sigma, "phase": phase, "periodic": periodic_setting(wraps)}
     return with_step(image, values, "smooth", settings, report, **form_recipe(mask))
-
-
-def _gaussian_around(
-    inside: np.ndarray, widths: Sequence[float], wraps: Sequence[bool]
-) -> np.ndarray:
-    """Return the Gaussian of an array that continues across its periodic faces."""
-    margins = [
-        reach_of(width) if wrap and side > 1 else 0
-        for width, wrap, side in zip(widths, wraps, inside.shape, strict=True)
-    ]
-    return crop_margins(gaussian(pad_wrapped(inside, margins), widths), margins)
 
 
 def _cut_at_volume(

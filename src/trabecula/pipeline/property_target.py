@@ -3,13 +3,14 @@
 Small trials over the porosities that the exemplar holds say what the material can have; they are
 the map from porosity to property. The result is made at the porosity that the map names, measured,
 and made again where it is off: the map keeps its slope and takes the level of what was measured,
-then results on both sides of it bound the next one.
+then results on both sides of it bound the next one. Another porosity is another result, so that
+they scatter: where three are off, the surface of the nearest is moved until it has the property.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -21,11 +22,15 @@ from trabecula.core.image import Image
 from trabecula.core.progress import notify, track
 from trabecula.core.recipe import Recipe
 from trabecula.core.request import Request
+from trabecula.finish.offset import offset
 from trabecula.measure.properties import PROPERTIES, measure_property
 from trabecula.synth.api.model import Model, as_request
 
-MOST = 6
+MOST = 3
 """Results that are made and measured at most."""
+
+MOVES = 5
+"""Times that the surface of the nearest result is moved, and it is measured again, at most."""
 
 _SIDE = 64  # voxels of a trial along every axis, at most
 _TRIALS = 5  # porosities of the map
@@ -34,6 +39,7 @@ _STEP = 0.05  # of porosity, where a map says nothing of the next
 _DIGITS = 6  # of a porosity
 _NEAR = 1e-4  # of a porosity to one that was made: it would be much the same result
 _JUMP = 3e-3  # of porosity between results, within which they differ by chance
+_FARTHEST = 0.03  # of porosity that a surface is moved by
 
 Point = tuple[float, float]
 """A porosity, and the property of material that was made with it."""
@@ -46,9 +52,12 @@ class PropertyMatch:
     Attributes
     ----------
     image : Image
-        The nearest result. Its recipe names the porosity, so that `tb.rerun` needs no search.
+        The nearest result. Its recipe names the porosity, and that of a moved surface, so that
+        `tb.rerun` needs no search.
     request : Request
-        The request that made it, with that porosity as target.
+        The request that made it, with the porosity it was made with as target.
+    porosity : float
+        What the image has: another where its surface was moved.
     name : str
     asked, value : float
         The property's goal, and what the image has.
@@ -58,16 +67,20 @@ class PropertyMatch:
         Porosity and property of small trials, by porosity.
     made : tuple of (float, float)
         Porosity and property of every result of full size, in their order.
+    moved : tuple of (float, float)
+        The same of the nearest of them with its surface moved (`finish.offset`).
     """
 
     image: Image
     request: Request
+    porosity: float
     name: str
     asked: float
     value: float
     within: float
     trials: tuple[Point, ...]
     made: tuple[Point, ...]
+    moved: tuple[Point, ...]
 
     @property
     def error(self) -> float:
@@ -82,11 +95,10 @@ class PropertyMatch:
     def __str__(self) -> str:
         """Return the match in a line."""
         unit = _unit(self.image.unit, PROPERTIES[self.name.partition(":")[0]].power)
-        porosity = self.request.target["porosity"]
         verdict = "" if self.met else f", NOT within {self.within:.3g}"
         return (
-            f"{self.name} {self.value:.4g}{unit} at porosity {porosity:.4g}: {self.error:+.1%} off "
-            f"{self.asked:.4g}{verdict}"
+            f"{self.name} {self.value:.4g}{unit} at porosity {self.porosity:.4g}: "
+            f"{self.error:+.1%} off {self.asked:.4g}{verdict}"
         )
 
 
@@ -117,7 +129,8 @@ def match_property(
     seed : int
         As of `Model.generate`. All trials and results have it.
     within : float
-        Relative error that ends the search, .001 .. .5. It takes 6 results at most.
+        Relative error that ends the search, .001 .. .5. It takes 3 results at most; then the
+        surface of the nearest is moved, by .03 of porosity and 5 times at most.
     memory : int, optional
         Budget in bytes of every result. Default: the memory that is available.
     periodic
@@ -152,28 +165,106 @@ def match_property(
     _check_model(model, request)
     small = replace(request, shape=tuple(min(side, _SIDE) for side in request.shape))
     trials = _map(model, small, name, memory)
-    porosity = _first(trials, name, wanted, model)
-    made: list[Point] = []
-    best: tuple[float, Image, Request] | None = None
-    while len(made) < MOST:
-        now = replace(request, target={"porosity": round(porosity, _DIGITS)})
-        image = model.generate(now, memory=memory)
-        value = measure_property(image, name)
-        made.append((float(now.target["porosity"]), value))
-        error = abs(value / wanted - 1)
-        notify(f"{name} {value:.4g} at porosity {porosity:.4f}, {wanted:.4g} asked")
-        if best is None or error < best[0]:
-            best = (error, image, now)
-        if error <= limit:
-            break
-        porosity = _next(trials, made, wanted)
-        if not _is_new(porosity, made):
-            break
-    assert best is not None
-    _, image, now = best
-    value = dict(made)[float(now.target["porosity"])]
-    match = PropertyMatch(image, now, name, wanted, value, limit, tuple(trials), tuple(made))
+    start = _first(trials, name, wanted, model)
+    goal = _Goal(name, wanted, limit, tuple(trials))
+
+    def make(porosity: float) -> Image:
+        return model.generate(replace(request, target={"porosity": porosity}), memory=memory)
+
+    results = _approach(goal, make, [], start=start, most=MOST, scatter=_JUMP)
+    first = nearest = min(results, key=goal.off)
+    moves: list[_Result] = []
+    if goal.off(first) > limit:
+
+        def move(porosity: float) -> Image | None:
+            try:
+                return offset(first.image, fraction=1 - porosity, periodic=request.periodic)
+            except InputError:  # beyond what a surface of its topology can reach
+                return None
+
+        start = _next(goal, [(first.porosity, first.value)], scatter=0)
+        moves = _approach(goal, move, [first], start=start, most=MOVES, scatter=0)
+        nearest = min([first, *moves], key=goal.off)
+    match = PropertyMatch(
+        image=nearest.image,
+        request=replace(request, target={"porosity": first.porosity}),
+        porosity=nearest.porosity,
+        name=name,
+        asked=wanted,
+        value=nearest.value,
+        within=limit,
+        trials=goal.trials,
+        made=tuple((one.porosity, one.value) for one in results),
+        moved=tuple((one.porosity, one.value) for one in moves),
+    )
     return replace(match, image=_with_report(match))
+
+
+@dataclass(frozen=True, eq=False)
+class _Result:
+    """An image with its porosity and its property."""
+
+    porosity: float
+    value: float
+    image: Image
+
+
+@dataclass(frozen=True)
+class _Goal:
+    """A property that is asked for, and what small trials have."""
+
+    name: str
+    asked: float
+    within: float
+    trials: tuple[Point, ...]
+
+    def off(self, result: _Result) -> float:
+        """Return how far a result is off, over the value that it is to have."""
+        return abs(result.value / self.asked - 1)
+
+
+def _approach(
+    goal: _Goal,
+    make: Callable[[float], Image | None],
+    known: list[_Result],
+    *,
+    start: float,
+    most: int,
+    scatter: float,
+) -> list[_Result]:
+    """Make results until one is near enough: after the first at porosities that those before
+    name.
+
+    Parameters
+    ----------
+    goal : _Goal
+    make : callable
+        Porosity -> image, or None where there is none.
+    known : list of _Result
+        None, or the one that others are made of: they stay within .03 of its porosity.
+    start : float
+        The first porosity.
+    most : int
+    scatter : float
+        Results whose porosities are nearer differ by chance.
+    """
+    found: list[_Result] = []
+    porosity = start
+    while len(found) < most:
+        for one in known:
+            porosity = min(one.porosity + _FARTHEST, max(one.porosity - _FARTHEST, porosity))
+        porosity = round(porosity, _DIGITS)
+        points = [(one.porosity, one.value) for one in (*known, *found)]
+        image = make(porosity) if _is_new(porosity, points) else None
+        if image is None:
+            break
+        found.append(_Result(porosity, measure_property(image, goal.name), image))
+        value = f"{goal.name} {found[-1].value:.4g}"
+        notify(f"{value} at porosity {porosity:.4f}, {goal.asked:.4g} asked")
+        if goal.off(found[-1]) <= goal.within:
+            break
+        porosity = _next(goal, [*points, (porosity, found[-1].value)], scatter=scatter)
+    return found
 
 
 def as_property(given: Mapping[str, float]) -> tuple[str, float]:
@@ -277,10 +368,13 @@ def _first(trials: Sequence[Point], name: str, asked: float, model: Model) -> fl
     )
 
 
-def _next(trials: Sequence[Point], made: Sequence[Point], asked: float) -> float:
-    """Return the porosity of the next result."""
+def _next(goal: _Goal, made: Sequence[Point], *, scatter: float) -> float:
+    """Return the porosity of the next result, where those nearer than `scatter` differ by
+    chance.
+    """
+    trials, asked = goal.trials, goal.asked
     done = sorted(made)
-    apart = [done[0], *(one for before, one in pairwise(done) if one[0] - before[0] > _JUMP)]
+    apart = [done[0], *(one for before, one in pairwise(done) if one[0] - before[0] > scatter)]
     bracket = _crossing(apart, asked, near=made[-1][0])
     if bracket is not None and _is_new(bracket, made):
         return bracket
@@ -305,7 +399,7 @@ def _next(trials: Sequence[Point], made: Sequence[Point], asked: float) -> float
 
 def _is_new(porosity: float, made: Sequence[Point]) -> bool:
     """Return whether a porosity is none that was made."""
-    return min(abs(porosity - done) for done, _ in made) >= _NEAR
+    return all(abs(porosity - done) >= _NEAR for done, _ in made)
 
 
 def _crossing(points: Sequence[Point], asked: float, *, near: float) -> float | None:
@@ -333,6 +427,7 @@ def _with_report(match: PropertyMatch) -> Image:
             "within": match.within,
             "trials": [list(one) for one in match.trials],
             "made": [list(one) for one in match.made],
+            "moved": [list(one) for one in match.moved],
         },
     }
     return replace(match.image, recipe=Recipe.from_json(steps))
