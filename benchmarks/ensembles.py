@@ -19,8 +19,8 @@ UNSPREAD = ("bone a",)
 
 
 def ensembles() -> None:
-    """24 members of 64^3 by `texture` from each scan, with the porosity that is drawn for each,
-    against the parts of that scan: ratio of standard deviations / shift of the mean in real
+    """24 members of 64^3 by `texture` from each scan, parts of volumes of 128^3 whose porosity is
+    drawn, against the parts of that scan: ratio of standard deviations / shift of the mean in real
     standard deviations, and the verdict.
     """
     known = scans() | {SAMPLE: tb.sample(SAMPLE)}

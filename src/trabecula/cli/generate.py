@@ -40,8 +40,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--spread",
         metavar="S",
-        help="scatter of porosity from member to member: 1 (default) as of real samples of this "
-        "size, learned from the exemplar; 0: all have the exemplar's",
+        help="scatter from member to member: 1 (default) as of real samples of this size: eight "
+        "members are the parts of a volume of twice their sides; else that of the porosity they "
+        "are made with, 0: all have the exemplar's",
+    )
+    group.add_argument(
+        "--alone",
+        action="store_true",
+        help="make each member by itself, of a porosity that is drawn: less memory, and they "
+        "differ in little but porosity",
     )
     group = parser.add_argument_group("resuming a run, and workers")
     group.add_argument(
@@ -391,8 +398,9 @@ def _prepare(options: argparse.Namespace) -> GenerateTask:
 
 def _check_ensemble(options: argparse.Namespace) -> None:
     """Raise where one option of an ensemble lacks the other."""
-    if options.count is None and options.spread is not None:
-        raise InputError("--spread is for an ensemble: add --count N, or leave it out")
+    for name in ("spread", "alone"):
+        if options.count is None and getattr(options, name):
+            raise InputError(f"--{name} is for an ensemble: add --count N, or leave it out")
     if options.count is not None and options.resume is not None:
         raise InputError(
             "--count beside --resume: the same command without --resume resumes an ensemble"
@@ -427,17 +435,18 @@ def _make_members(options: argparse.Namespace, count: int, spread: float, cluste
             f"--count beside --target {next(iter(job.asked))}: a property is met by one result; "
             "find its porosity, then give --target porosity=P with --count"
         )
-    check_target(member_path(options.out, job.request), resumes=True)
+    first = member_path(options.out, job.request.seed)
+    check_target(first, resumes=True)
     learned = begin + (1 - begin) * job.learning_share() / count
     with part(begin, learned):
         model = job.fit(memory=options.memory)
-    members = draw_members(model, job.request, count=count, spread=spread)
+    members = draw_members(model, job.request, count=count, spread=spread, alone=options.alone)
     if members.note:
         terminal.note(members.note)
     cut = {"memory": options.memory, "chunks": options.chunks}
-    first = member_path(options.out, job.request)
-    size = plan_to(model, members.requests[0], first, **cut).disk if cluster is None else 0
-    check_target(first, size=size * count, resumes=True)
+    volumes = [request for request, _ in members.volumes()]
+    size = plan_to(model, volumes[0], first, **cut).disk if cluster is None else 0
+    check_target(first, size=size * len(volumes), resumes=True)
     with part(learned, 1):
         made = generate_members(
             model, members, options.out, **cut, cluster=cluster, scratch=options.scratch

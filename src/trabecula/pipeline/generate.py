@@ -326,20 +326,40 @@ def resume(
     return generate_to(model, request, target, memory=memory, cluster=cluster, scratch=scratch)
 
 
-def find_result(model: Model, request: Request, path: str | os.PathLike[str]) -> Result | None:
+def find_result(
+    model: Model,
+    request: Request,
+    path: str | os.PathLike[str],
+    *,
+    cut: Mapping[str, Any] | None = None,
+) -> Result | None:
     """Describe the file of a run that is finished; None where there is none, or that of another
     run.
+
+    Parameters
+    ----------
+    model : Model
+    request : Request
+    path : path
+    cut : mapping, optional
+        What the step of the recipe has that cut the file's part out of the result. Default: the
+        file holds the whole.
     """
     target = location_of(path)
     if not target.is_there() or not _is_finished(target):
         return None
     try:
-        result = _read_result(target)
+        result = _read_file(target)
     except FileError:  # damaged, or not ours: it is made anew
         return None
-    step = result.recipe.steps[-1]
-    asked = model.recipe(request, "").steps[-1]
-    same = all(step.get(name) == value for name, value in asked.items() if name not in _ITS_OWN)
+    asked = [model.recipe(request, "").steps[-1], *([] if cut is None else [cut])]
+    steps = result.recipe.steps[-len(asked) :]
+    same = len(steps) == len(asked) and all(
+        step.get(name) == value
+        for step, wanted in zip(steps, asked, strict=True)
+        for name, value in wanted.items()
+        if name not in _ITS_OWN
+    )
     return result if same else None
 
 
@@ -367,6 +387,14 @@ def _read_result(target: Location) -> Result:
     FileError
         It was not made by `generate_to`.
     """
+    result = _read_file(target)
+    if not result.recipe or result.recipe.steps[-1]["verb"] != "generate":
+        raise FileError(f"{target} was not made by generate: there is nothing to resume")
+    return result
+
+
+def _read_file(target: Location) -> Result:
+    """Describe a file and its recipe; the voxels of a store are not read."""
     if target.is_store():
         opened = open_finished(target)
         fields, shape = dict(opened.fields), tuple(opened.array.shape)
@@ -375,8 +403,6 @@ def _read_result(target: Location) -> Result:
         image = files.read(target)
         fields, shape = dict(describe_fields(image)), image.shape
         recipe = image.recipe
-    if not recipe or recipe.steps[-1]["verb"] != "generate":
-        raise FileError(f"{target} was not made by generate: there is nothing to resume")
     text = outline(shape, **{name: fields[name] for name in ("kind", "spacing", "unit", "phases")})
     return Result(path_or_remote(target), shape, text, recipe)
 

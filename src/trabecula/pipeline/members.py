@@ -1,7 +1,8 @@
 """Ensembles in files: one a member, made in several processes, and a manifest of all.
 
 The same command resumes where an interrupted one stopped: members whose file has the recipe of
-their request are kept, one that was begun resumes from its own state.
+their request are kept, one that was begun resumes from its own state. A volume that members are
+parts of is a store beside them until all of them are written.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from trabecula.core import progress
 from trabecula.core.errors import InputError
 from trabecula.core.recipe import versions
 from trabecula.core.request import Request
-from trabecula.engine.files import replacing
+from trabecula.engine.files import remove, replacing
 from trabecula.engine.memory import available_memory
 from trabecula.engine.parallel import thread_count, threads
 from trabecula.engine.storage import is_address
-from trabecula.pipeline.ensemble import Members
+from trabecula.io import files
+from trabecula.pipeline.ensemble import Member, Members
 from trabecula.pipeline.generate import Result, find_result, generate_to
 from trabecula.synth.api.model import Model
 from trabecula.synth.api.serialize import decode_model
@@ -67,9 +69,14 @@ def check_pattern(pattern: str) -> None:
         )
 
 
-def member_path(pattern: str, request: Request) -> Path:
+def member_path(pattern: str, seed: int) -> Path:
     """Return the place of a member's file."""
-    return Path(pattern.replace(SEED, str(request.seed)))
+    return Path(pattern.replace(SEED, str(seed)))
+
+
+def _volume_path(pattern: str, seed: int) -> Path:
+    """Return the place of a volume that members are parts of."""
+    return Path(pattern.replace(SEED, f"{seed}-volume")).with_suffix(".zarr")
 
 
 def manifest_path(pattern: str) -> Path:
@@ -105,43 +112,83 @@ def generate_members(
         As `check_pattern` and `generate_to`.
     """
     check_pattern(pattern)
-    paths = [member_path(pattern, request) for request in members.requests]
-    for path in paths:
+    paths = {member.seed: member_path(pattern, member.seed) for member in members.members}
+    for path in paths.values():
         path.parent.mkdir(parents=True, exist_ok=True)
-    found = {
-        path: find_result(model, request, path)
-        for path, request in zip(paths, members.requests, strict=True)
-    }
-    left = [
-        (request, path)
-        for request, path in zip(members.requests, paths, strict=True)
-        if found[path] is None
-    ]
-    if len(left) < len(paths):
-        progress.notify(f"{len(paths) - len(left)} of {len(paths)} members are there already")
+    found: dict[int, Result] = {}
+    left = []
+    for request, parts in members.volumes():
+        for member in parts:
+            known = find_result(model, request, paths[member.seed], cut=_step_of(member))
+            if known is not None:
+                found[member.seed] = known
+        missing = [member for member in parts if member.seed not in found]
+        if missing:
+            left.append(_Volume(request, _volume_path(pattern, request.seed), missing, paths))
+    if found:
+        progress.notify(f"{len(found)} of {len(paths)} members are there already")
     manifest = manifest_path(pattern)
-    for path, result in progress.track(
-        _make(model, left, memory, blocks), "members", total=len(left)
-    ):
-        found[path] = result
+    for results in progress.track(_make(model, left, memory, blocks), "members", total=len(left)):
+        found |= results
         _write_manifest(manifest, model, members, paths, found)
     done = _write_manifest(manifest, model, members, paths, found)
     return StoredEnsemble(manifest, tuple(done))
 
 
+@dataclass(frozen=True)
+class _Volume:
+    """What is made at once: a member, or a volume that several are parts of.
+
+    Attributes
+    ----------
+    request : Request
+    place : Path
+        Of the volume while its members are not all written.
+    members : list of Member
+        That are to be written.
+    paths : mapping
+        Seed -> place of a member.
+    """
+
+    request: Request
+    place: Path
+    members: list[Member]
+    paths: Mapping[int, Path]
+
+    def make(self, model: Model, **given: Any) -> dict[int, Result]:
+        """Make it, and write its members."""
+        first = self.members[0]
+        if first.corner is None:
+            made = generate_to(model, self.request, self.paths[first.seed], **given)
+            return {first.seed: made}
+        if find_result(model, self.request, self.place) is None:
+            generate_to(model, self.request, self.place, **given)
+        volume, found = files.read(self.place), {}
+        for member in self.members:
+            part, path = member.cut(volume), self.paths[member.seed]
+            files.write(part, path)
+            found[member.seed] = Result(path, part.shape, repr(part), part.recipe)
+        remove(self.place)
+        return found
+
+
+def _step_of(member: Member) -> Mapping[str, Any] | None:
+    """Return the step of a member's recipe that cuts it out of its volume."""
+    if member.corner is None:
+        return None
+    return {"verb": "crop", "size": list(member.shape), "corner": list(member.corner)}
+
+
 def _make(
-    model: Model,
-    left: list[tuple[Request, Path]],
-    memory: int | None,
-    blocks: Mapping[str, Any],
-) -> Iterator[tuple[Path, Result]]:
-    """Make members, here or in processes, and yield each when it is there."""
+    model: Model, left: list[_Volume], memory: int | None, blocks: Mapping[str, Any]
+) -> Iterator[dict[int, Result]]:
+    """Make members, here or in processes, and yield those of each volume when they are there."""
     if not left:
         return
     at_once = 1 if blocks.get("cluster") else _at_once(model, left, memory)
     if at_once == 1:
-        for request, path in left:
-            yield path, generate_to(model, request, path, memory=memory, **blocks)
+        for volume in left:
+            yield volume.make(model, memory=memory, **blocks)
         return
     budget = (available_memory() if memory is None else memory) // at_once
     share = max(1, thread_count() // at_once)
@@ -150,20 +197,17 @@ def _make(
     context = get_context("spawn")  # threads and locks do not survive a fork
     pool = ProcessPoolExecutor(at_once, context, _open_model, (data, model.name, share))
     try:
-        working = {
-            pool.submit(_make_member, request, path, {"memory": budget, **given}): path
-            for request, path in left
-        }
+        working = [pool.submit(_make_volume, one, {"memory": budget, **given}) for one in left]
         for one in as_completed(working):
-            yield working[one], one.result()
+            yield one.result()
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _at_once(model: Model, left: list[tuple[Request, Path]], memory: int | None) -> int:
-    """Return how many members fit beside each other, 1 at least."""
+def _at_once(model: Model, left: list[_Volume], memory: int | None) -> int:
+    """Return how many fit beside each other, 1 at least."""
     budget = available_memory() if memory is None else memory
-    fitting = int(budget // max(1, model.plan(left[0][0]).peak))
+    fitting = int(budget // max(1, model.plan(left[0].request).peak))
     return max(1, min(thread_count(), fitting, len(left)))
 
 
@@ -177,37 +221,37 @@ def _open_model(data: bytes, name: str | None, share: int) -> None:
     _worker.update(model=model, threads=share)
 
 
-def _make_member(request: Request, path: Path, given: Mapping[str, Any]) -> Result:
-    """Make one member, in a process that has the model."""
+def _make_volume(volume: _Volume, given: Mapping[str, Any]) -> dict[int, Result]:
+    """Make members of one volume, in a process that has the model."""
     with threads(_worker["threads"]):
-        return generate_to(_worker["model"], request, path, **given)
+        return volume.make(_worker["model"], **given)
 
 
 def _write_manifest(
     place: Path,
     model: Model,
     members: Members,
-    paths: list[Path],
-    found: Mapping[Path, Result | None],
+    paths: Mapping[int, Path],
+    found: Mapping[int, Result],
 ) -> list[Result]:
     """Write which members there are, and return them."""
-    pairs = zip(members.requests, paths, strict=True)
-    done = [(one, path, result) for one, path in pairs if (result := found[path]) is not None]
+    done = [one for one in members.members if one.seed in found]
     text = json.dumps(
         {
             "method": model.capabilities.name,
-            "shape": list(members.requests[0].shape),
+            "shape": list(members.members[0].shape),
             "count": len(paths),
             "fractions": None if members.spread is None else members.spread.to_json(),
             "note": members.note or None,
             "members": [
                 {
-                    "file": os.path.relpath(path, place.parent),
-                    "seed": request.seed,
-                    "target": dict(request.target),
-                    "sha256": result.sha256,
+                    "file": os.path.relpath(paths[one.seed], place.parent),
+                    "seed": one.seed,
+                    "volume": _volume_of(one),
+                    "target": dict(one.request.target),
+                    "sha256": found[one.seed].sha256,
                 }
-                for request, path, result in done
+                for one in done
             ],
             "versions": versions(),
         },
@@ -215,4 +259,15 @@ def _write_manifest(
     )
     with replacing(place) as temporary:
         temporary.write_text(text)
-    return [result for _, _, result in done]
+    return [found[one.seed] for one in done]
+
+
+def _volume_of(member: Member) -> dict[str, Any] | None:
+    """Return what a member is a part of; None where it is the whole."""
+    if member.corner is None:
+        return None
+    return {
+        "seed": member.request.seed,
+        "shape": list(member.request.shape),
+        "corner": list(member.corner),
+    }
