@@ -16,6 +16,7 @@ import numpy as np
 
 from trabecula.core.seeds import generator
 from trabecula.engine.compile import kernel
+from trabecula.synth.packing.beside import Beside
 from trabecula.synth.packing.radial_shapes import radius_towards
 from trabecula.synth.packing.scan_bodies import ScanBodies
 from trabecula.synth.shared.packed.drawn import drawn_evenly
@@ -45,6 +46,8 @@ class Arrangement:
     sides : (3,) float64
     lacking : float
         What neighbours lack of their distance, over their radii, mean of all bodies.
+    cut : int
+        Bodies that reach into a known part by more than a voxel.
     """
 
     radii: np.ndarray
@@ -53,6 +56,7 @@ class Arrangement:
     places: np.ndarray
     sides: np.ndarray
     lacking: float
+    cut: int = 0
 
 
 def arrange(
@@ -63,6 +67,7 @@ def arrange(
     any_way: bool,
     density: float,
     seed: int,
+    beside: Beside | None = None,
     quiet: bool = False,
 ) -> Arrangement:
     """Pack bodies.
@@ -79,33 +84,54 @@ def arrange(
     density : float
         Bodies per volume.
     seed : int
+    beside : Beside, optional
+        The free part of the box, and bodies that stand in it.
     quiet : bool
         Report no progress.
     """
     box = np.asarray(sides, np.float64)
     draw = generator(seed, _STAGE)
     count = max(1, round(density * float(np.prod(box))))
+    if beside is not None:
+        stand = beside.standing
+        count = max(0, round(density * beside.volume) - beside.count_free(stand.places))
     shapes = drawn_evenly(bodies.weights, count, draw)
     turns = _turns(count, any_way, draw)
-    places = draw.random((count, 3)) * box
-    largest = bodies.radii.max(axis=1)[shapes].astype(np.float64)
-    mean = bodies.radii.mean(axis=1)[shapes].astype(np.float64)
+    places = draw.random((count, 3)) * box if beside is None else beside.drop(count, draw)
+    radii = bodies.radii
+    if beside is not None:
+        shapes = np.append(shapes, len(radii) + np.arange(len(stand.places)))
+        radii = np.concatenate([radii, stand.radii])
+        turns = np.concatenate([turns, np.broadcast_to(np.eye(3), (len(stand.places), 3, 3))])
+        places = np.concatenate([places, np.mod(stand.places, box)])
+    largest = radii.max(axis=1)[shapes].astype(np.float64)
+    mean = radii.mean(axis=1)[shapes].astype(np.float64)
+
+    def near(at: np.ndarray) -> np.ndarray:
+        pairs = neighbour_pairs(at, _NEAR * separation * largest, box)
+        return pairs[pairs.min(axis=1) < count]
 
     def moved(at: np.ndarray, moves: np.ndarray) -> np.ndarray:
+        if beside is not None:
+            moves[count:] = 0
+            moves[:count] += beside.push(at[:count], shapes, turns, radii)[0]
         length = np.sqrt((moves**2).sum(axis=1))
         moves *= np.minimum(1, _FARTHEST * mean / np.maximum(length, 1e-12))[:, None]
         return np.asarray(np.mod(at + moves, box))
 
     places, lacking = push_apart(
         places,
-        lambda at: neighbour_pairs(at, _NEAR * separation * largest, box),
-        lambda at, grown: partial(_push, at, shapes, turns, bodies.radii, box, grown * separation),
+        near,
+        lambda at, grown: partial(_push, at, shapes, turns, radii, box, grown * separation),
         moved,
         steps=_STEPS,
         size=float(mean.sum()),
         label="" if quiet else "packing bodies",
     )
-    return Arrangement(bodies.radii, shapes, turns, places, box, lacking)
+    cut = 0
+    if beside is not None:
+        cut = int((beside.push(places[:count], shapes, turns, radii)[1] > 1).sum())
+    return Arrangement(radii, shapes, turns, places, box, lacking, cut)
 
 
 def _turns(count: int, any_way: bool, draw: np.random.Generator) -> np.ndarray:

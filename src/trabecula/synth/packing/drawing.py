@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -14,7 +14,11 @@ from trabecula.synth.shared.packed.depth import REACH, depth_field
 
 
 def draw_depth(
-    arrangement: Arrangement, shape: Sequence[int], steps: np.ndarray, fillet: float
+    arrangement: Arrangement,
+    shape: Sequence[int],
+    steps: np.ndarray,
+    fillet: float,
+    hold: Callable[[np.ndarray, np.ndarray], None] | None = None,
 ) -> np.ndarray:
     """Return how deep voxels lie in the nearest body: as `depth_field`."""
     given = (arrangement.places, arrangement.shapes, arrangement.turns, arrangement.radii, steps)
@@ -26,6 +30,7 @@ def draw_depth(
         shape,
         steps,
         fillet,
+        hold,
     )
 
 

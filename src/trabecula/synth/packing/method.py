@@ -18,8 +18,10 @@ from trabecula.synth.packing import CAPABILITIES
 from trabecula.synth.packing.arrangement import Arrangement, arrange
 from trabecula.synth.packing.config import PackingConfig
 from trabecula.synth.packing.drawing import draw_depth
+from trabecula.synth.packing.known_bodies import KnownBodies
 from trabecula.synth.packing.radial_shapes import SIZE
 from trabecula.synth.packing.scan_bodies import LEAST, ScanBodies, find_bodies
+from trabecula.synth.shared.content.kinds import Labels, free_voxels
 from trabecula.synth.shared.own_figures import OwnFigures
 from trabecula.synth.shared.packed.method import PackedMethod, PackedModel
 from trabecula.synth.shared.packed.trials import Packed, SmallPackings, choose
@@ -137,6 +139,11 @@ class PackingModel(PackedModel):
     def _depth(
         self, request: Request, sides: np.ndarray, share: float
     ) -> tuple[np.ndarray, dict[str, Any]]:
+        known = None if request.fixed is None else KnownBodies.of(request, self.label, self._steps)
+        beside = None
+        if known is not None:
+            standing = known.find_standing(self.bodies, self.config.degree)
+            beside = known.measure_free(sides, standing)
         arrangement = arrange(
             self.bodies,
             sides,
@@ -144,10 +151,28 @@ class PackingModel(PackedModel):
             any_way=is_any_way(self.config, self.bodies),
             density=self.bodies.density * share / self.fraction,
             seed=request.seed,
+            beside=beside,
         )
-        depth = draw_depth(arrangement, request.shape, self._steps, self.packed.fillet)
+        hold = None if known is None else known.hold
+        depth = draw_depth(arrangement, request.shape, self._steps, self.packed.fillet, hold)
         lacking = round(arrangement.lacking, 4)
-        return depth, {"bodies": len(arrangement.places), "lacking": lacking}
+        report: dict[str, Any] = {"bodies": len(arrangement.places), "lacking": lacking}
+        if known is not None and beside is not None:
+            known.steepen(depth)
+            stand = len(beside.standing.places)
+            report |= {"standing": stand, "cut": arrangement.cut}
+        return depth, report
+
+    def _share(self, request: Request) -> float | np.ndarray:
+        """Return the share of bodies among the free voxels: beside known ones by the same rule as
+        for `texture`.
+        """
+        wanted = super()._share(request)
+        if request.fixed is None or np.ndim(wanted):
+            return wanted
+        content = Labels(self.exemplars, histogram=True)
+        shares = content.free_fractions(request, free_voxels(request))
+        return float(shares[content.present.index(self.label)])
 
     def _body_bytes(self, sides: np.ndarray) -> float:
         return _BODY * self.bodies.density * float(np.prod(sides))
