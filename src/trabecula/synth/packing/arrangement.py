@@ -23,7 +23,7 @@ from trabecula.synth.shared.packed.drawn import drawn_evenly
 from trabecula.synth.shared.packed.neighbours import neighbour_pairs, offset_between
 from trabecula.synth.shared.packed.pushing import push_apart, write_push
 
-_STEPS = 300
+_STEPS, _STEPS_BESIDE = 300, 600  # at most; beside bodies that stand others settle more slowly
 _PUSH = 0.35  # of what is lacking, for each of two bodies, a step
 _FARTHEST = 0.25  # of its mean radius that a body moves, a step
 _NEAR = 1.15  # sums of the largest radii, within which bodies are neighbours
@@ -93,13 +93,16 @@ def arrange(
     draw = generator(seed, _STAGE)
     count = max(1, round(density * float(np.prod(box))))
     if beside is not None:
-        stand = beside.standing
-        count = max(0, round(density * beside.volume) - beside.count_free(stand.places))
+        stand, taken = beside.standing, beside.covered / bodies.fraction
+        count = max(0, round(density * beside.volume - bodies.density * taken))
     shapes = drawn_evenly(bodies.weights, count, draw)
     turns = _turns(count, any_way, draw)
-    places = draw.random((count, 3)) * box if beside is None else beside.drop(count, draw)
     radii = bodies.radii
-    if beside is not None:
+    if beside is None:
+        places = draw.random((count, 3)) * box
+    else:
+        sizes = radii.mean(axis=1)[shapes] * max(0.0, min(1.0, 2 * separation - 1))
+        places = beside.drop(sizes, draw)
         shapes = np.append(shapes, len(radii) + np.arange(len(stand.places)))
         radii = np.concatenate([radii, stand.radii])
         turns = np.concatenate([turns, np.broadcast_to(np.eye(3), (len(stand.places), 3, 3))])
@@ -124,7 +127,7 @@ def arrange(
         near,
         lambda at, grown: partial(_push, at, shapes, turns, radii, box, grown * separation),
         moved,
-        steps=_STEPS,
+        steps=_STEPS if beside is None else _STEPS_BESIDE,
         size=float(mean.sum()),
         label="" if quiet else "packing bodies",
     )

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
-from trabecula.measure.distance import distance_transform
 from trabecula.synth.packing.radial_shapes import radius_towards
 from trabecula.synth.packing.standing import Standing
-from trabecula.synth.shared.slabs import complement
 
 _PUSH = 0.7  # of what a body lacks, a step
+_TRIES = 12  # places that are drawn for a body, of which one is taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +25,8 @@ class Beside:
     ----------
     clear : (Z, Y, X) float32
         Edges from a free voxel to the other phase; negative where known, to the nearest free one.
+    room : (Z, Y, X) float32
+        Edges from a free voxel to what is known or in a body that stands.
     steps : (3,) float64
         Edges of a voxel in units of the smallest.
     sides : (3,) float64
@@ -35,52 +36,41 @@ class Beside:
     """
 
     clear: np.ndarray
+    room: np.ndarray
     steps: np.ndarray
     sides: np.ndarray
     standing: Standing
 
-    @classmethod
-    def of(
-        cls,
-        other: np.ndarray,
-        known: np.ndarray,
-        wraps: tuple[bool, ...],
-        steps: np.ndarray,
-        sides: np.ndarray,
-        standing: Standing,
-    ) -> Beside:
-        """Measure distances; `other` are the known voxels of the phase without bodies."""
-        spacing = steps.tolist()
-        clear = distance_transform(complement(other), spacing=spacing, periodic=wraps)
-        within = distance_transform(known, spacing=spacing, periodic=wraps)
-        clear[known] = -within[known]
-        # from the faces of voxels instead of their centres
-        clear -= np.where(known, np.float32(-0.5), np.float32(0.5))
-        return cls(np.minimum(clear, np.float32(sides.max())), steps, sides, standing)
-
     @property
     def volume(self) -> float:
         """Return the volume of the free part of the box."""
-        shares = self._stretched()
-        free = (self.clear > 0).astype(np.float64)
-        return float(np.einsum("zyx,z,y,x->", free, *shares, optimize=True))
+        return self._volume_of(self.clear > 0)
 
-    def count_free(self, places: np.ndarray) -> int:
-        """Count the places (n, 3) in the free part of the box."""
-        at = _voxels(np.mod(places, self.sides), self.steps, self.sides, self.clear.shape)
-        return int((self.clear[tuple(at.T)] > 0).sum())
+    @property
+    def covered(self) -> float:
+        """Return the volume of what bodies that stand have of the free part."""
+        return self._volume_of((self.clear > 0) & (self.room == 0))
 
-    def drop(self, count: int, draw: np.random.Generator) -> np.ndarray:
-        """Return random places in the free part of the box, (count, 3)."""
+    def drop(self, sizes: np.ndarray, draw: np.random.Generator) -> np.ndarray:
+        """Return random places in the free part of the box for bodies of these sizes (n,): of some
+        that are drawn the first with the most room, up to the size.
+        """
         free = np.flatnonzero(self.clear > 0)
-        starts, widths = zip(*(self._lines(axis) for axis in range(3)), strict=True)
+        lines = [self._lines(axis) for axis in range(3)]
         at = np.unravel_index(free, self.clear.shape)
-        weight = np.cumsum(np.prod([w[i] for w, i in zip(widths, at, strict=True)], axis=0))
-        chosen = np.searchsorted(weight, draw.random(count) * weight[-1], side="right")
-        chosen = np.unravel_index(free[np.minimum(chosen, len(free) - 1)], self.clear.shape)
-        first = np.stack([s[i] for s, i in zip(starts, chosen, strict=True)], axis=1)
-        width = np.stack([w[i] for w, i in zip(widths, chosen, strict=True)], axis=1)
-        return np.asarray(np.mod(first + draw.random((count, 3)) * width, self.sides))
+        weight = np.cumsum(np.prod([w[i] for (_, w), i in zip(lines, at, strict=True)], axis=0))
+        places, most = np.zeros((len(sizes), 3)), np.full(len(sizes), -np.inf)
+        for _ in range(_TRIES if len(free) else 0):
+            chosen = np.searchsorted(weight, draw.random(len(sizes)) * weight[-1], side="right")
+            own = free[np.minimum(chosen, len(free) - 1)]
+            found = np.minimum(self.room.ravel()[own], sizes)
+            within = draw.random((len(sizes), 3))
+            for axis, i in enumerate(np.unravel_index(own, self.clear.shape)):
+                starts, widths = lines[axis]
+                within[:, axis] = starts[i] + within[:, axis] * widths[i]
+            better = found > most
+            places[better], most[better] = within[better], found[better]
+        return np.asarray(np.mod(places, self.sides))
 
     def push(
         self, places: np.ndarray, shapes: np.ndarray, turns: np.ndarray, radii: np.ndarray
@@ -92,8 +82,9 @@ class Beside:
         _push(places, shapes, turns, radii, self.clear, self.steps, self.sides, moves, lacks)
         return moves, lacks
 
-    def _stretched(self) -> list[np.ndarray]:
-        return [self._lines(axis)[1] for axis in range(3)]
+    def _volume_of(self, inside: np.ndarray) -> float:
+        widths = (self._lines(axis)[1] for axis in range(3))
+        return float(np.einsum("zyx,z,y,x->", inside.astype(np.float64), *widths, optimize=True))
 
     def _lines(self, axis: int) -> tuple[np.ndarray, np.ndarray]:
         """Return where voxels along an axis begin, edges, and how wide they are: those at faces
@@ -105,16 +96,6 @@ class Beside:
         starts[0] -= beyond
         widths[[0, -1]] += beyond if side > 1 else 2 * beyond
         return starts, widths
-
-
-def _voxels(
-    places: np.ndarray, steps: np.ndarray, sides: np.ndarray, shape: tuple[int, ...]
-) -> np.ndarray:
-    """Return the voxels of places (n, 3) in the box, of those beyond it the nearest."""
-    last = np.array(shape) - 1
-    at = (places / steps).astype(np.int64)
-    beyond = places - (last + 1) * steps > 0.5 * (sides - (last + 1) * steps)
-    return np.where(at > last, np.where(beyond, 0, last), at)
 
 
 @inline
@@ -167,8 +148,6 @@ def _push(places, shapes, turns, radii, clear, steps, sides, moves, lacks):
             turn[0, 1] * dz + turn[1, 1] * dy + turn[2, 1] * dx,
             turn[0, 2] * dz + turn[1, 2] * dy + turn[2, 2] * dx,
         )
-        if own < 0:
-            wanted = 0.5
         lacks[i] = max(wanted - own, 0.0)
         for axis in range(3):
             moves[i, axis] = _PUSH * lacks[i] * slope[axis] / length

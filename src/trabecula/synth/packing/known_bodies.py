@@ -8,7 +8,9 @@ import numpy as np
 
 from trabecula.core.request import Request
 from trabecula.measure.distance import distance_transform
+from trabecula.synth.packing.arrangement import Arrangement
 from trabecula.synth.packing.beside import Beside
+from trabecula.synth.packing.drawing import draw_depth
 from trabecula.synth.packing.scan_bodies import ScanBodies
 from trabecula.synth.packing.standing import Standing, find_standing
 from trabecula.synth.shared.known_part import WHOLE, move_shares
@@ -51,7 +53,17 @@ class KnownBodies:
 
     def measure_free(self, sides: np.ndarray, standing: Standing) -> Beside:
         """Measure the free part of a box with these sides, edges."""
-        return Beside.of(self.other, self.known, self.wraps, self.steps, sides, standing)
+        clear = self._distance(complement(self.other))
+        clear[self.known] = -self._distance(self.known)[self.known]
+        # from the faces of voxels instead of their centres
+        clear += np.where(self.known, np.float32(0.5), np.float32(-0.5))
+        np.minimum(clear, np.float32(sides.max()), out=clear)
+        turns = np.broadcast_to(np.eye(3), (len(standing.places), 3, 3))
+        shapes = np.arange(len(standing.places))
+        alone = Arrangement(standing.radii, shapes, turns, standing.places, sides, 0)
+        covered = draw_depth(alone, self.known.shape, self.steps, 0) > 0
+        room = self._distance(complement(self.known | covered))
+        return Beside(clear, room, self.steps, sides, standing)
 
     def hold(self, field: np.ndarray, margin: np.ndarray) -> None:
         """Write how deep known voxels lie into a field whose voxel `margin` is the first: no deeper
@@ -62,9 +74,7 @@ class KnownBodies:
         )
         part = field[inner]
         for own, rest, sign in ((self.inside, self.other, 1), (self.other, self.inside, -1)):
-            distance = distance_transform(
-                complement(rest), spacing=self.steps.tolist(), periodic=self.wraps
-            )
+            distance = self._distance(complement(rest))
             deep = np.minimum(distance[own] - np.float32(0.5), np.float32(REACH))
             drawn = sign * part[own]
             part[own] = sign * np.where(drawn > 0, np.minimum(deep, drawn), deep)
@@ -81,3 +91,6 @@ class KnownBodies:
         shares = move_shares(self.known, self.wraps)
         free = shares > 0
         depth[free] *= np.float32(WHOLE) / shares[free]
+
+    def _distance(self, inside: np.ndarray) -> np.ndarray:
+        return distance_transform(inside, spacing=self.steps.tolist(), periodic=self.wraps)
