@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -14,11 +14,7 @@ from trabecula.synth.shared.packed.depth import REACH, depth_field
 
 
 def draw_depth(
-    arrangement: Arrangement,
-    shape: Sequence[int],
-    steps: np.ndarray,
-    fillet: float,
-    hold: Callable[[np.ndarray, np.ndarray], None] | None = None,
+    arrangement: Arrangement, shape: Sequence[int], steps: np.ndarray, fillet: float
 ) -> np.ndarray:
     """Return how deep voxels lie in the nearest body: as `depth_field`."""
     given = (arrangement.places, arrangement.shapes, arrangement.turns, arrangement.radii, steps)
@@ -30,7 +26,6 @@ def draw_depth(
         shape,
         steps,
         fillet,
-        hold,
     )
 
 

@@ -13,9 +13,10 @@ from trabecula.synth.packing.beside import Beside
 from trabecula.synth.packing.drawing import draw_depth
 from trabecula.synth.packing.scan_bodies import ScanBodies
 from trabecula.synth.packing.standing import Standing, find_standing
-from trabecula.synth.shared.known_part import WHOLE, move_shares
-from trabecula.synth.shared.packed.depth import REACH
+from trabecula.synth.shared.content.joints import spread_offset
 from trabecula.synth.shared.slabs import complement
+
+_UNIT, _MOST = 16, 7.5  # steps of an edge, and edges, that a byte holds
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,32 +66,27 @@ class KnownBodies:
         room = self._distance(complement(self.known | covered))
         return Beside(clear, room, self.steps, sides, standing)
 
-    def hold(self, field: np.ndarray, margin: np.ndarray) -> None:
-        """Write how deep known voxels lie into a field whose voxel `margin` is the first: no deeper
-        than is drawn where that agrees with what is known.
-        """
-        inner = tuple(
-            slice(m, m + side) for m, side in zip(margin, self.known.shape, strict=True)
-        )
-        part = field[inner]
-        for own, rest, sign in ((self.inside, self.other, 1), (self.other, self.inside, -1)):
-            distance = self._distance(complement(rest))
-            deep = np.minimum(distance[own] - np.float32(0.5), np.float32(REACH))
-            drawn = sign * part[own]
-            part[own] = sign * np.where(drawn > 0, np.minimum(deep, drawn), deep)
-        for axis, wrap in enumerate(self.wraps):
-            if wrap:
-                lines = np.arange(field.shape[axis]) - margin[axis]
-                again = lines % self.known.shape[axis] + margin[axis]
-                field[...] = field.take(again, axis=axis)
+    def join(self, depth: np.ndarray, level: float) -> np.ndarray:
+        """Move the depth of free voxels so that its `level` is at the interface of what is known
+        beside them: what known voxels are off is spread as a membrane.
 
-    def steepen(self, depth: np.ndarray) -> None:
-        """Raise what is deep beside known voxels, in place, and lower what is not: so that the
-        interface there is where it is drawn, whatever share of the voxels is chosen.
+        Returns
+        -------
+        depth : float32 array, (Z, Y, X)
+            Above 0 where it was above the level, far from what is known.
         """
-        shares = move_shares(self.known, self.wraps)
-        free = shares > 0
-        depth[free] *= np.float32(WHOLE) / shares[free]
+        votes = np.rint(np.clip(depth - np.float32(level), -_MOST, _MOST) * (_UNIT * 256))
+        given = np.zeros(depth.shape, np.float32)
+        for own, rest, sign in ((self.inside, self.other, 1), (self.other, self.inside, -1)):
+            deep = self._distance(complement(rest))[own] - np.float32(0.5)
+            drawn = sign * votes[own] / (_UNIT * 256)
+            # what is hidden behind the joint may be nearer than what is known
+            given[own] = sign * np.where(drawn > 0, np.minimum(deep, drawn), deep)
+        bound = np.rint(np.clip(given, -_MOST, _MOST) * _UNIT).astype(np.int8)[None]
+        moved = spread_offset(
+            votes.astype(np.int16)[None], bound, bound, complement(self.known)
+        )
+        return moved[0].astype(np.float32)
 
     def _distance(self, inside: np.ndarray) -> np.ndarray:
         return distance_transform(inside, spacing=self.steps.tolist(), periodic=self.wraps)

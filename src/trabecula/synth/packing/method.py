@@ -153,12 +153,11 @@ class PackingModel(PackedModel):
             seed=request.seed,
             beside=beside,
         )
-        hold = None if known is None else known.hold
-        depth = draw_depth(arrangement, request.shape, self._steps, self.packed.fillet, hold)
+        depth = draw_depth(arrangement, request.shape, self._steps, self.packed.fillet)
         lacking = round(arrangement.lacking, 4)
         report: dict[str, Any] = {"bodies": len(arrangement.places), "lacking": lacking}
         if known is not None and beside is not None:
-            known.steepen(depth)
+            depth = known.join(depth, float(np.quantile(depth[~request.known], 1 - share)))
             stand = len(beside.standing.places)
             report |= {"standing": stand, "cut": arrangement.cut}
         return depth, report

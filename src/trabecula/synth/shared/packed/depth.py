@@ -43,7 +43,6 @@ def depth_field(
     shape: Sequence[int],
     steps: np.ndarray,
     fillet: float,
-    hold: Callable[[np.ndarray, np.ndarray], None] | None = None,
 ) -> np.ndarray:
     """Return how deep voxels lie in the nearest body, edges, negative outside.
 
@@ -65,9 +64,6 @@ def depth_field(
         Edges of a voxel in units of the smallest.
     fillet : float
         Standard deviation of the Gaussian that rounds it, edges.
-    hold : callable, optional
-        Of the field and the voxels (3,) of it before the first of the shape: changes it in place
-        before it is rounded.
 
     Returns
     -------
@@ -78,8 +74,6 @@ def depth_field(
     field = np.full(tuple(np.asarray(shape) + 2 * margin), -REACH, np.float32)
     copies = _copies(places, reach[:, None], sides, steps, margin, np.array(field.shape))
     for_slabs(lambda a, b: draw(copies, field, margin, a, b), len(field))
-    if hold is not None:
-        hold(field, margin)
     if fillet:
         np.clip(field, -REACH, REACH, out=field)
         field = gaussian(field, sigma)
