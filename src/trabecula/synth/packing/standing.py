@@ -71,12 +71,12 @@ def find_standing(
             near, steps, (False,) * 3, smoothing=SMOOTHING, reach=REACH, unseen=unseen
         )
         faces = BodyFaces.of(regions, unseen)
-        mean, spread = _sizes(bodies)
+        sizes = _Sizes.of(bodies)
         corner = (np.array([line[0] for line in lines]) + 0.5) * steps
         for number in range(regions.count):
             own = faces.of_region(number)
             if faces.cut[own].any() and (~faces.contact[own]).sum() >= _LEAST:
-                place, table = _complete(faces, own, mean, spread, degree, unseen, steps)
+                place, table = _complete(faces, own, sizes, degree, unseen, steps)
                 places.append(place[None] + corner)
                 radii.append(table[None])
     at, tables = np.concatenate(places), np.concatenate(radii)
@@ -103,22 +103,39 @@ def lines_beside(
     return lines
 
 
-def _sizes(bodies: ScanBodies) -> tuple[float, float]:
-    """Return mean and spread of the radii of the bodies that a plane cuts: the larger the more
-    often.
+@dataclass(frozen=True)
+class _Sizes:
+    """Radii of the bodies that a plane cuts: the larger the more often.
+
+    Attributes
+    ----------
+    mean, spread : float
+        Of their mean radii.
+    most : float
+        The largest mean radius of a body.
+    largest : float
+        The largest radius of a body.
     """
-    size = bodies.radii.mean(axis=1).astype(np.float64)
-    weights = bodies.weights * size
-    mean = float(np.average(size, weights=weights))
-    spread = float(np.sqrt(np.average((size - mean) ** 2, weights=weights)))
-    return mean, max(spread, _SPREAD * mean)
+
+    mean: float
+    spread: float
+    most: float
+    largest: float
+
+    @classmethod
+    def of(cls, bodies: ScanBodies) -> _Sizes:
+        size = bodies.radii.mean(axis=1).astype(np.float64)
+        weights = bodies.weights * size
+        mean = float(np.average(size, weights=weights))
+        spread = float(np.sqrt(np.average((size - mean) ** 2, weights=weights)))
+        largest = float(bodies.radii.max())
+        return cls(mean, max(spread, _SPREAD * mean), float(size.max()), largest)
 
 
 def _complete(
     faces: BodyFaces,
     own: slice,
-    mean: float,
-    spread: float,
+    sizes: _Sizes,
     degree: int,
     unseen: np.ndarray,
     steps: np.ndarray,
@@ -127,14 +144,14 @@ def _complete(
     places, contact, cut = faces.places[own], faces.contact[own], faces.cut[own]
     ways = faces.ways[own].astype(np.float64)
     weight = np.where(contact, _HIDDEN, 1.0) * ~cut
-    centre, radius = _fit_ball(places, ways, weight, mean, spread)
+    centre, radius = _fit_ball(places, ways, weight, sizes)
     # a body reaches as far as the joint where this is beyond its place
     keep = ~cut | (((places - centre) * ways).sum(axis=1) > 0)
     ball = radius * table_directions()
     hidden = ball[_is_unseen(centre + ball, unseen, steps)]
     terms = degree_for(int((~contact).sum()), degree)
     radii, _ = fit_radii(places[keep] - centre, contact[keep], terms, hidden)
-    return centre, radii
+    return centre, np.minimum(radii, np.float32(sizes.largest))
 
 
 def _is_unseen(places: np.ndarray, unseen: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -146,15 +163,15 @@ def _is_unseen(places: np.ndarray, unseen: np.ndarray, steps: np.ndarray) -> np.
 
 
 def _fit_ball(
-    places: np.ndarray, ways: np.ndarray, weight: np.ndarray, mean: float, spread: float
+    places: np.ndarray, ways: np.ndarray, weight: np.ndarray, sizes: _Sizes
 ) -> tuple[np.ndarray, float]:
     """Return the centre and the radius of the ball whose surface is nearest to places (n, 3), its
     radius as likely as bodies have it: Gauss and Newton's method.
     """
-    share = weight / weight.sum()
+    share, mean = weight / weight.sum(), sizes.mean
     # the mean of the ways of the faces of voxels is two thirds of that of a ball's surface
     centre, radius = share @ places - 1.5 * mean * (share @ ways), mean
-    sure = np.diag([0, 0, 0, 1 / spread**2])
+    sure = np.diag([0, 0, 0, 1 / sizes.spread**2])
     for _ in range(_ROUNDS):
         off = places - centre
         length = np.maximum(np.linalg.norm(off, axis=1), 1e-6)
@@ -164,5 +181,6 @@ def _fit_ball(
         right = -weighted @ (length - radius) + sure[3] * (mean - radius)
         step = np.linalg.solve(normal, right)
         step *= min(1, 0.3 * radius / max(float(np.linalg.norm(step)), 1e-12))
-        centre, radius = centre + step[:3], max(radius + float(step[3]), 0.2 * mean)
+        centre = centre + step[:3]
+        radius = min(max(radius + float(step[3]), 0.2 * mean), sizes.most)
     return centre, radius
