@@ -46,8 +46,10 @@ class Arrangement:
     sides : (3,) float64
     lacking : float
         What neighbours lack of their distance, over their radii, mean of all bodies.
+    count : int
+        Bodies that moved: the first ones; the others stand.
     cut : int
-        Bodies that reach into a known part by more than a voxel.
+        Of those that moved, such as reach into a known part by more than a voxel.
     """
 
     radii: np.ndarray
@@ -56,6 +58,7 @@ class Arrangement:
     places: np.ndarray
     sides: np.ndarray
     lacking: float
+    count: int
     cut: int = 0
 
 
@@ -101,8 +104,7 @@ def arrange(
     if beside is None:
         places = draw.random((count, 3)) * box
     else:
-        sizes = radii.mean(axis=1)[shapes] * max(0.0, min(1.0, 2 * separation - 1))
-        places = beside.drop(sizes, draw)
+        places = beside.drop(radii.mean(axis=1)[shapes], draw)
         shapes = np.append(shapes, len(radii) + np.arange(len(stand.places)))
         radii = np.concatenate([radii, stand.radii])
         turns = np.concatenate([turns, np.broadcast_to(np.eye(3), (len(stand.places), 3, 3))])
@@ -134,7 +136,7 @@ def arrange(
     cut = 0
     if beside is not None:
         cut = int((beside.push(places[:count], shapes, turns, radii)[1] > 1).sum())
-    return Arrangement(radii, shapes, turns, places, box, lacking, cut)
+    return Arrangement(radii, shapes, turns, places, box, lacking, count, cut)
 
 
 def _turns(count: int, any_way: bool, draw: np.random.Generator) -> np.ndarray:

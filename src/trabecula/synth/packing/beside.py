@@ -14,6 +14,7 @@ from trabecula.synth.packing.standing import Standing
 
 _PUSH = 0.7  # of what a body lacks, a step
 _TRIES = 12  # places that are drawn for a body, of which one is taken
+_ROOM = 0.5  # of its size, that a body wants there: of more, the first planes came out too sparse
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,17 +54,18 @@ class Beside:
 
     def drop(self, sizes: np.ndarray, draw: np.random.Generator) -> np.ndarray:
         """Return random places in the free part of the box for bodies of these sizes (n,): of some
-        that are drawn the first with the most room, up to the size.
+        that are drawn the first with the most room, up to what is wanted.
         """
+        wanted = _ROOM * sizes
         free = np.flatnonzero(self.clear > 0)
         lines = [self._lines(axis) for axis in range(3)]
-        at = np.unravel_index(free, self.clear.shape)
-        weight = np.cumsum(np.prod([w[i] for (_, w), i in zip(lines, at, strict=True)], axis=0))
+        depth, height, width = (widths for _, widths in lines)
+        weight = np.cumsum(np.einsum("z,y,x->zyx", depth, height, width).ravel()[free])
         places, most = np.zeros((len(sizes), 3)), np.full(len(sizes), -np.inf)
         for _ in range(_TRIES if len(free) else 0):
             chosen = np.searchsorted(weight, draw.random(len(sizes)) * weight[-1], side="right")
             own = free[np.minimum(chosen, len(free) - 1)]
-            found = np.minimum(self.room.ravel()[own], sizes)
+            found = np.minimum(self.room.ravel()[own], wanted)
             within = draw.random((len(sizes), 3))
             for axis, i in enumerate(np.unravel_index(own, self.clear.shape)):
                 starts, widths = lines[axis]

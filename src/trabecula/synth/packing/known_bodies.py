@@ -12,7 +12,7 @@ from trabecula.synth.packing.arrangement import Arrangement
 from trabecula.synth.packing.beside import Beside
 from trabecula.synth.packing.drawing import draw_depth
 from trabecula.synth.packing.scan_bodies import ScanBodies
-from trabecula.synth.packing.standing import Standing, find_standing
+from trabecula.synth.packing.standing import find_standing
 from trabecula.synth.shared.content.joints import spread_offset
 from trabecula.synth.shared.slabs import complement
 
@@ -48,12 +48,11 @@ class KnownBodies:
         inside = request.known & (request.fixed.values == label)
         return cls(inside, request.known & ~inside, request.known, request.periodic, steps)
 
-    def find_standing(self, bodies: ScanBodies, degree: int) -> Standing:
-        """Complete the bodies that the joint cuts."""
-        return find_standing(self.inside, self.known, self.steps, self.wraps, bodies, degree)
-
-    def measure_free(self, sides: np.ndarray, standing: Standing) -> Beside:
-        """Measure the free part of a box with these sides, edges."""
+    def measure_free(self, bodies: ScanBodies, degree: int, sides: np.ndarray) -> Beside:
+        """Complete the bodies that the joint cuts, and measure the free part of a box with these
+        sides, edges.
+        """
+        standing = find_standing(self.inside, self.known, self.steps, self.wraps, bodies, degree)
         clear = self._distance(complement(self.other))
         clear[self.known] = -self._distance(self.known)[self.known]
         # from the faces of voxels instead of their centres
@@ -61,7 +60,7 @@ class KnownBodies:
         np.minimum(clear, np.float32(sides.max()), out=clear)
         turns = np.broadcast_to(np.eye(3), (len(standing.places), 3, 3))
         shapes = np.arange(len(standing.places))
-        alone = Arrangement(standing.radii, shapes, turns, standing.places, sides, 0)
+        alone = Arrangement(standing.radii, shapes, turns, standing.places, sides, 0, 0)
         covered = draw_depth(alone, self.known.shape, self.steps, 0) > 0
         room = self._distance(complement(self.known | covered))
         return Beside(clear, room, self.steps, sides, standing)
