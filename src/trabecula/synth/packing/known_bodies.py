@@ -48,11 +48,14 @@ class KnownBodies:
         inside = request.known & (request.fixed.values == label)
         return cls(inside, request.known & ~inside, request.known, request.periodic, steps)
 
-    def measure_free(self, bodies: ScanBodies, degree: int, sides: np.ndarray) -> Beside:
+    def measure_free(
+        self, bodies: ScanBodies, degree: int, separation: float, sides: np.ndarray
+    ) -> Beside:
         """Complete the bodies that the joint cuts, and measure the free part of a box with these
         sides, edges.
         """
-        standing = find_standing(self.inside, self.known, self.steps, self.wraps, bodies, degree)
+        part = (self.inside, self.known, self.steps, self.wraps)
+        standing = find_standing(*part, bodies, degree, separation)
         clear = self._distance(complement(self.other))
         clear[self.known] = -self._distance(self.known)[self.known]
         # from the faces of voxels instead of their centres

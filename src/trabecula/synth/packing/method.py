@@ -143,15 +143,18 @@ class PackingModel(PackedModel):
         self, request: Request, sides: np.ndarray, share: float
     ) -> tuple[np.ndarray, dict[str, Any]]:
         known = None if request.fixed is None else KnownBodies.of(request, self.label, self._steps)
+        apart, degree = self.packed.separation, self.config.degree
+        beside = known and known.measure_free(self.bodies, degree, apart, sides)
         arrangement = arrange(
             self.bodies,
             sides,
-            separation=self.packed.separation,
+            separation=apart,
             any_way=is_any_way(self.config, self.bodies),
             density=self.bodies.density * share / self.fraction,
             seed=request.seed,
-            beside=known and known.measure_free(self.bodies, self.config.degree, sides),
+            beside=beside,
         )
+        del beside  # its distances
         depth = draw_depth(arrangement, request.shape, self._steps, self.packed.fillet)
         report: dict[str, Any] = {
             "bodies": arrangement.count,

@@ -14,6 +14,7 @@ import numpy as np
 from trabecula.measure.partition import REACH, SMOOTHING
 from trabecula.measure.partition.partition import partition
 from trabecula.synth.packing.body_faces import BodyFaces
+from trabecula.synth.packing.giving_way import give_way
 from trabecula.synth.packing.radial_shapes import SIZE, degree_for, fit_radii, table_directions
 from trabecula.synth.packing.scan_bodies import ScanBodies
 
@@ -46,6 +47,7 @@ def find_standing(
     wraps: Sequence[bool],
     bodies: ScanBodies,
     degree: int,
+    separation: float = 1.0,
 ) -> Standing:
     """Complete the bodies of a known part that reach the free voxels.
 
@@ -61,6 +63,8 @@ def find_standing(
         How large bodies are.
     degree : int
         Of the harmonics, at most.
+    separation : float
+        Distance of two bodies over the sum of their radii.
     """
     lines = lines_beside(known, wraps, 2 * float(bodies.radii.max()) / steps)
     box = np.ix_(*(line % side for line, side in zip(lines, known.shape, strict=True)))
@@ -72,14 +76,16 @@ def find_standing(
         )
         faces = BodyFaces.of(regions, unseen)
         sizes = _Sizes.of(bodies)
-        corner = (np.array([line[0] for line in lines]) + 0.5) * steps
         for number in range(regions.count):
             own = faces.of_region(number)
             if faces.cut[own].any() and (~faces.contact[own]).sum() >= _LEAST:
                 place, table = _complete(faces, own, sizes, degree, unseen, steps)
-                places.append(place[None] + corner)
+                places.append(place[None])
                 radii.append(table[None])
     at, tables = np.concatenate(places), np.concatenate(radii)
+    if len(at):
+        tables = give_way(at, tables, unseen, steps, separation)
+    at += (np.array([line[0] for line in lines]) + 0.5) * steps
     sides = np.array(known.shape) * steps
     once = (~np.array(wraps) | ((at >= 0) & (at < sides))).all(axis=1)
     return Standing(at[once], tables[once])
