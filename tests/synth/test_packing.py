@@ -4,10 +4,10 @@ refused.
 
 import numpy as np
 import pytest
-
-import trabecula as tb
 from packing_balls import balls_in, bodies_of, packed
 from packing_balls import beads as touching
+
+import trabecula as tb
 from trabecula.core.errors import InputError, RequestError
 from trabecula.synth.packing.drawing import draw_depth
 from trabecula.synth.packing.radial_shapes import (

@@ -4,12 +4,14 @@ is made around them.
 
 import numpy as np
 import pytest
+from packing_balls import balls_in, beads, bodies_of, packed
 
 import trabecula as tb
-from packing_balls import balls_in, beads, bodies_of
 from trabecula.measure.partition.partition import partition
 from trabecula.synth.packing.beside import Beside
+from trabecula.synth.packing.giving_way import give_way
 from trabecula.synth.packing.known_bodies import KnownBodies
+from trabecula.synth.packing.radial_shapes import radius_towards
 from trabecula.synth.packing.standing import Standing, find_standing
 from trabecula.synth.shared.content.joints import surroundings
 from trabecula.testing.peak import peak_bytes
@@ -61,9 +63,7 @@ def test_voxels_that_are_not_seen_bound_no_body():
     ball = (at**2).sum(-1) < 64
     unseen = np.zeros(ball.shape, bool)
     unseen[12:] = True
-    seen = partition(
-        ball & ~unseen, CUBE, OPEN, smoothing=0.4, reach=4.0, unseen=unseen
-    )
+    seen = partition(ball & ~unseen, CUBE, OPEN, smoothing=0.4, reach=4.0, unseen=unseen)
     assert seen.count == 1
     assert seen.peaks[0, 0] == 11
     assert seen.distance[11, 11, 11] > 6.5
@@ -99,7 +99,7 @@ def test_bodies_of_a_known_part_stand_alike_wherever_a_period_begins(scan):
     moved = np.roll(inside & known, 25, axis=1)
     two = find_standing(moved, known, CUBE, wraps, bodies_of(6.0), 4)
     assert len(one.places) == len(two.places) > 20
-    shifted = np.mod(one.places + (0, 25, 0), SIDE)
+    shifted = np.mod(one.places + np.array([0, 25, 0]), SIDE)
     off = shifted[:, None] - two.places
     off -= SIDE * np.rint(off / SIDE)
     assert np.linalg.norm(off, axis=2).min(axis=1).max() < 1e-6
@@ -138,6 +138,45 @@ def test_a_body_is_pushed_out_of_a_known_pore_until_it_only_touches_it():
     moves, lacks = around.push(places, np.zeros(3, np.int64), turns, radii)
     np.testing.assert_allclose(lacks, [2.5, 7.5, 0])
     np.testing.assert_allclose(moves, [[1.75, 0, 0], [5.25, 0, 0], [0, 0, 0]], atol=1e-6)
+
+
+def around_standing(places, clear=50.0):
+    """Return a free box of 40^3 with balls of radius 6 that stand in it."""
+    radii = np.full((len(places), 6 * 169), 6, np.float32)
+    free = np.full((40, 40, 40), clear, np.float32)
+    covered = balls_in(40, np.array(places, float), 6.0)
+    standing = Standing(np.array(places, float), radii)
+    return Beside(free, np.where(covered, 0, free), CUBE, np.full(3, 40.0), standing)
+
+
+def test_bodies_that_stand_do_not_move():
+    places = [[20.0, 20.0, 20.0], [20.0, 30.0, 20.0]]
+    made = packed(bodies_of(6.0, density=4e-4), 40, beside=around_standing(places))
+    np.testing.assert_array_equal(made.places[made.count :], places)
+    apart = made.places[: made.count, None] - np.array(places)
+    length = np.linalg.norm(apart - 40 * np.rint(apart / 40), axis=2)
+    assert length.min() > 11
+
+
+def test_bodies_that_stand_count_among_the_wanted():
+    bodies = bodies_of(6.0, density=0.3 / (4 / 3 * np.pi * 6**3))
+    alone = packed(bodies, 40, beside=around_standing(np.empty((0, 3))))
+    assert alone.count == round(bodies.density * 40**3)
+    beside = around_standing([[20.0, 20.0, 20.0], [8.0, 8.0, 8.0], [30.0, 8.0, 30.0]])
+    assert packed(bodies, 40, beside=beside).count == alone.count - 3
+
+
+def test_bodies_that_overlap_behind_the_joint_give_way_there_alone():
+    places, radii = np.array([[9.0, 15.0, 14.0], [9.0, 15.0, 23.0]]), np.full((2, 6 * 169), 6.0)
+    unseen = np.zeros((40, 30, 40), bool)
+    unseen[9:] = True
+    known = radius_towards(radii[0], -1.0, 0.0, 0.2)
+    for at, less in ((places, False), (places + np.array([17, 0, 0]), True)):
+        found = give_way(at, radii.astype(np.float32), unseen, CUBE, 1.0)
+        both = radius_towards(found[0], 0.0, 0.0, 1.0) + radius_towards(found[1], 0.0, 0.0, -1.0)
+        assert (both < 9.5) == less
+        assert radius_towards(found[0], -1.0, 0.0, 0.2) == pytest.approx(known, abs=0.2)
+        assert radius_towards(found[0], 0.0, 0.0, -1.0) == pytest.approx(6)
 
 
 def test_an_interface_meets_the_known_one_and_keeps_its_place_beyond():

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,6 +63,16 @@ class Arrangement:
     cut: int = 0
 
 
+class _Start(NamedTuple):
+    """Bodies before they are pushed apart: as of `Arrangement`, of which the first `moving` move."""
+
+    radii: np.ndarray
+    shapes: np.ndarray
+    turns: np.ndarray
+    places: np.ndarray
+    moving: int
+
+
 def arrange(
     bodies: ScanBodies,
     sides: Sequence[float] | np.ndarray,
@@ -94,21 +105,8 @@ def arrange(
     """
     box = np.asarray(sides, np.float64)
     draw = generator(seed, _STAGE)
-    count = max(1, round(density * float(np.prod(box))))
-    if beside is not None:
-        stand, taken = beside.standing, beside.covered / bodies.fraction
-        count = max(0, round(density * beside.volume - bodies.density * taken))
-    shapes = drawn_evenly(bodies.weights, count, draw)
-    turns = _turns(count, any_way, draw)
-    radii = bodies.radii
-    if beside is None:
-        places = draw.random((count, 3)) * box
-    else:
-        places = beside.drop(radii.mean(axis=1)[shapes], draw)
-        shapes = np.append(shapes, len(radii) + np.arange(len(stand.places)))
-        radii = np.concatenate([radii, stand.radii])
-        turns = np.concatenate([turns, np.broadcast_to(np.eye(3), (len(stand.places), 3, 3))])
-        places = np.concatenate([places, np.mod(stand.places, box)])
+    start = _scatter if beside is None else partial(_scatter_beside, beside)
+    radii, shapes, turns, places, count = start(bodies, box, density, any_way, draw)
     largest = radii.max(axis=1)[shapes].astype(np.float64)
     mean = radii.mean(axis=1)[shapes].astype(np.float64)
 
@@ -137,6 +135,43 @@ def arrange(
     if beside is not None:
         cut = int((beside.push(places[:count], shapes, turns, radii)[1] > 1).sum())
     return Arrangement(radii, shapes, turns, places, box, lacking, count, cut)
+
+
+def _scatter(
+    bodies: ScanBodies, box: np.ndarray, density: float, any_way: bool, draw: np.random.Generator
+) -> _Start:
+    """Return bodies anywhere in a box."""
+    count = max(1, round(density * float(np.prod(box))))
+    shapes = drawn_evenly(bodies.weights, count, draw)
+    turns = _turns(count, any_way, draw)
+    return _Start(bodies.radii, shapes, turns, draw.random((count, 3)) * box, count)
+
+
+def _scatter_beside(
+    beside: Beside,
+    bodies: ScanBodies,
+    box: np.ndarray,
+    density: float,
+    any_way: bool,
+    draw: np.random.Generator,
+) -> _Start:
+    """Return bodies in the free part of a box, as many as it wants beside those that stand, and
+    these.
+    """
+    stand = beside.standing
+    taken = bodies.density * beside.covered / bodies.fraction
+    count = max(0, round(density * beside.volume - taken))
+    shapes = drawn_evenly(bodies.weights, count, draw)
+    turns = _turns(count, any_way, draw)
+    places = beside.drop(bodies.radii.mean(axis=1)[shapes], draw)
+    still = np.broadcast_to(np.eye(3), (len(stand.places), 3, 3))
+    return _Start(
+        np.concatenate([bodies.radii, stand.radii]),
+        np.append(shapes, len(bodies.radii) + np.arange(len(stand.places))),
+        np.concatenate([turns, still]),
+        np.concatenate([places, np.mod(stand.places, box)]),
+        count,
+    )
 
 
 def _turns(count: int, any_way: bool, draw: np.random.Generator) -> np.ndarray:

@@ -86,7 +86,7 @@ class Beside:
 
     def _volume_of(self, inside: np.ndarray) -> float:
         widths = (self._lines(axis)[1] for axis in range(3))
-        return float(np.einsum("zyx,z,y,x->", inside.astype(np.float64), *widths, optimize=True))
+        return float(np.einsum("zyx,z,y,x->", inside.astype(np.float64), *widths))
 
     def _lines(self, axis: int) -> tuple[np.ndarray, np.ndarray]:
         """Return where voxels along an axis begin, edges, and how wide they are: those at faces

@@ -85,9 +85,7 @@ class KnownBodies:
             # what is hidden behind the joint may be nearer than what is known
             given[own] = sign * np.where(drawn > 0, np.minimum(deep, drawn), deep)
         bound = np.rint(np.clip(given, -_MOST, _MOST) * _UNIT).astype(np.int8)[None]
-        moved = spread_offset(
-            votes.astype(np.int16)[None], bound, bound, complement(self.known)
-        )
+        moved = spread_offset(votes.astype(np.int16)[None], bound, bound, complement(self.known))
         return moved[0].astype(np.float32)
 
     def _distance(self, inside: np.ndarray) -> np.ndarray:

@@ -142,9 +142,10 @@ class PackingModel(PackedModel):
     def _depth(
         self, request: Request, sides: np.ndarray, share: float
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        known = None if request.fixed is None else KnownBodies.of(request, self.label, self._steps)
-        apart, degree = self.packed.separation, self.config.degree
-        beside = known and known.measure_free(self.bodies, degree, apart, sides)
+        apart, known, beside = self.packed.separation, None, None
+        if request.fixed is not None:
+            known = KnownBodies.of(request, self.label, self._steps)
+            beside = known.measure_free(self.bodies, self.config.degree, apart, sides)
         arrangement = arrange(
             self.bodies,
             sides,

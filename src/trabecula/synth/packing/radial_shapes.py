@@ -16,11 +16,13 @@ continuous."""
 
 SIZE = 6 * NODES * NODES
 
+FINE = 256.0
+"""Steps of a length: the last bits of a fit differ between processors."""
+
 _SMOOTHNESS = 1e-4  # weight of (l (l + 1))^2 beside the mean square of what the fit leaves
 _PER_TERM = 8  # faces of voxels that a coefficient needs
 _ROUND = 2  # degree of the harmonics that say where a body ends behind a contact
 _HIDDEN = 0.3  # weight of that beside what is seen
-_FINE = 256.0  # steps of a radius: the last bits of a fit differ between processors
 
 
 def table_directions() -> np.ndarray:
@@ -130,7 +132,7 @@ def fit_radii(
     found = _solved(terms, wanted, weight, degree)
     radii = np.maximum(harmonics(table_directions(), degree) @ found, 0.3 * far.min())
     misfit = float(np.sqrt(np.mean((terms @ found - far)[~guessed] ** 2)))
-    return (np.rint(radii * _FINE) / _FINE).astype(np.float32), misfit
+    return (np.rint(radii * FINE) / FINE).astype(np.float32), misfit
 
 
 def _solved(
@@ -146,4 +148,4 @@ def _solved(
 def ball_radii(volume: float) -> np.ndarray:
     """Return the table of a ball of this volume."""
     radius = (3 * volume / (4 * math.pi)) ** (1 / 3)
-    return np.full(SIZE, round(radius * _FINE) / _FINE, np.float32)
+    return np.full(SIZE, round(radius * FINE) / FINE, np.float32)

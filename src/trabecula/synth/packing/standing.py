@@ -15,7 +15,13 @@ from trabecula.measure.partition import REACH, SMOOTHING
 from trabecula.measure.partition.partition import partition
 from trabecula.synth.packing.body_faces import BodyFaces
 from trabecula.synth.packing.giving_way import give_way
-from trabecula.synth.packing.radial_shapes import SIZE, degree_for, fit_radii, table_directions
+from trabecula.synth.packing.radial_shapes import (
+    FINE,
+    SIZE,
+    degree_for,
+    fit_radii,
+    table_directions,
+)
 from trabecula.synth.packing.scan_bodies import ScanBodies
 
 _LEAST = 8  # faces that are seen of a body, at least
@@ -69,7 +75,8 @@ def find_standing(
     lines = lines_beside(known, wraps, 2 * float(bodies.radii.max()) / steps)
     box = np.ix_(*(line % side for line, side in zip(lines, known.shape, strict=True)))
     near, unseen = inside[box], ~known[box]
-    places, radii = [np.empty((0, 3))], [np.empty((0, SIZE), np.float32)]
+    places: list[np.ndarray] = [np.empty((0, 3))]
+    radii: list[np.ndarray] = [np.empty((0, SIZE), np.float32)]
     if near.any() and not (near | unseen).all():
         regions = partition(
             near, steps, (False,) * 3, smoothing=SMOOTHING, reach=REACH, unseen=unseen
@@ -91,9 +98,7 @@ def find_standing(
     return Standing(at[once], tables[once])
 
 
-def lines_beside(
-    known: np.ndarray, wraps: Sequence[bool], reach: np.ndarray
-) -> list[np.ndarray]:
+def lines_beside(known: np.ndarray, wraps: Sequence[bool], reach: np.ndarray) -> list[np.ndarray]:
     """Return the voxels along every axis that are within reach (3,) of those that are not known;
     of an axis that repeats all, and some before and behind them.
     """
@@ -189,4 +194,4 @@ def _fit_ball(
         step *= min(1, 0.3 * radius / max(float(np.linalg.norm(step)), 1e-12))
         centre = centre + step[:3]
         radius = min(max(radius + float(step[3]), 0.2 * mean), sizes.most)
-    return centre, radius
+    return np.rint(centre * FINE) / FINE, round(radius * FINE) / FINE
