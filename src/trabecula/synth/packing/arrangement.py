@@ -64,7 +64,7 @@ class Arrangement:
 
 
 class _Start(NamedTuple):
-    """Bodies before they are pushed apart: as of `Arrangement`, of which the first `moving` move."""
+    """Bodies before they are pushed apart, of which the first `moving` move: as of `Arrangement`."""
 
     radii: np.ndarray
     shapes: np.ndarray
