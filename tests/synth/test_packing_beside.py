@@ -91,6 +91,27 @@ def test_bodies_that_the_joint_cuts_stand_where_they_were_drawn(scan, hole):
         assert (apart.min(axis=0)[cut] < 1.0).all()
 
 
+def test_a_cap_is_completed_to_a_body_as_large_as_bodies_are():
+    draw, known, off = np.random.default_rng(0), held(40, 20), []
+    for height in (1.5, 2.0, 2.5, 3.0):
+        place = np.array([20 - height + 6, 20, 20]) + np.append(0, draw.uniform(-0.5, 0.5, 2))
+        inside = balls_in(40, [place], 6.0) & known
+        found = find_standing(inside, known, CUBE, OPEN, bodies_of(6.0), 4)
+        off.append(np.linalg.norm(found.places[0] - place))
+        assert found.radii.mean() == pytest.approx(6, abs=0.5)
+    assert max(off) < 0.8
+
+
+def test_discs_that_touch_in_one_slice_are_a_body_each():
+    places = np.array([[20.0, 12.0, 14.0], [21.0, 21.0, 24.0]])
+    inside, known = balls_in(40, places, 7.0), np.zeros((40,) * 3, bool)
+    known[20] = True
+    found = find_standing(inside & known, known, CUBE, OPEN, bodies_of(7.0), 4)
+    assert len(found.places) == 2
+    order = np.argsort(found.places[:, 1])
+    np.testing.assert_allclose(found.places[order], places, atol=1.5)
+
+
 def test_bodies_of_a_known_part_stand_alike_wherever_a_period_begins(scan):
     inside, known = scan[1].values > 0, np.zeros((SIDE,) * 3, bool)
     known[10:40] = True
@@ -120,6 +141,9 @@ def test_places_are_dropped_in_the_free_part_and_beyond_its_faces_alone():
     assert ((places[:, 0] >= 4) & (places[:, 0] < 12)).all()  # 2 beyond the last face of z
     assert np.histogram(places[:, 0], 4, (4, 12))[0] == pytest.approx([1000] * 4, rel=0.15)
     assert (places < around.sides).all()
+    places = beside(clear[::-1], sides=(14, 10, 10)).drop(np.ones(4000), np.random.default_rng(0))
+    assert ((places[:, 0] < 6) | (places[:, 0] >= 12)).all()  # 2 before the first face
+    assert np.mean(places[:, 0] >= 12) == pytest.approx(0.25, abs=0.03)
 
 
 def test_a_body_is_dropped_where_it_has_room():
