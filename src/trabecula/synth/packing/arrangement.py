@@ -64,7 +64,7 @@ class Arrangement:
 
 
 class _Start(NamedTuple):
-    """Bodies before they are pushed apart, of which the first `moving` move: as of `Arrangement`."""
+    """Bodies before they are pushed apart, the first `moving` of which move (see `Arrangement`)."""
 
     radii: np.ndarray
     shapes: np.ndarray
