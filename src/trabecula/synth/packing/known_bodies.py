@@ -75,7 +75,7 @@ class KnownBodies:
         Returns
         -------
         depth : float32 array, (Z, Y, X)
-            Above 0 where it was above the level, far from what is known.
+            From the level, in 4096ths of an edge; far from what is known unchanged but for that.
         """
         votes = np.rint(np.clip(depth - np.float32(level), -_MOST, _MOST) * (_UNIT * 256))
         given = np.zeros(depth.shape, np.float32)
