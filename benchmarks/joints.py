@@ -7,6 +7,8 @@ import numpy as np
 import trabecula as tb
 from common import asked, busy, table
 from descriptors import scans
+from forms import FORMS
+from texture import judged, reference_of
 
 SIDE, EXEMPLAR = 100, 96
 HOLE = slice(26, 74)
@@ -14,6 +16,7 @@ HELD = 40
 """Planes that an extension continues."""
 SCANS = ("bone a", "bone with cortex", "Berea", "NMC")
 SEEDS = (1, 2)
+BODIES = ("beads", "cemented grains", "soil, Otsu", "cement, Otsu")
 SETTINGS: dict[str, dict[str, float]] = {"default": {}, "patches": {"novelty": 0}}
 
 
@@ -57,6 +60,57 @@ def texture_joints() -> None:
                     copied = tb.measure.coherence(exemplar, new, k=(4,), samples=300)[4]
                     told = (*_told(made.values, case), f"{copied:.3f}", f"{seconds:.1f}")
                     row(f"{name}, {case}, {words}", seed, *told)
+
+
+def packing_joints() -> None:
+    """A hole of 48^3 in 100^3 of materials of bodies, and 60 planes added to 40 of the same, by
+    `texture` and by `packing` from 96^3 at the other end.
+
+    `joint`, `next` and `made` as in `texture_joints`; thickness of the solid and Euler density of
+    what was made over the exemplar's; figures of `verify` out of band; bodies, and those of them
+    that stand.
+    """
+    heads = ("joint", "next", "made", "Euler", "thickness", "out", "of", "bodies", "seconds")
+    row = table("material, case", "seed", *heads, wide=36)
+    for name in (one for one in asked("ONLY") or BODIES if one in FORMS or one in scans()):
+        scan = _made(name) if name in FORMS else scans()[name]
+        host = tb.crop(scan, SIDE, corner=[edge - SIDE for edge in scan.shape])
+        exemplar = tb.crop(scan, EXEMPLAR, corner=(0, 0, 0))
+        reference, models = reference_of(exemplar), {}
+        thickness = tb.measure.thickness(exemplar)
+        for method in ("texture", "packing"):
+            models[method] = tb.method(method).fit(exemplar)
+        for case, known in (("hole", _hole()), ("extension", _held())):
+
+            def figures(image: tb.Image, case=case, reference=reference, own=thickness):
+                part = _part(image, case)
+                metrics = judged(reference, part).values()
+                passed = [one.passed for one in metrics if one.passed is not None]
+                wide = f"{tb.measure.thickness(part) / own:.2f}"
+                return (*_told(image.values, case), wide, passed.count(False), len(passed))
+
+            own = _told(exemplar.values, "exemplar")[2:]
+            row(f"{name}, {case}, the exemplar", "", "", "", *own, "1.00", "", "", "", "")
+            row(f"{name}, {case}, the scan", "", *figures(host), "", "")
+            for method, model in models.items():
+                for seed in SEEDS:
+                    request = tb.Request(host.shape, seed=seed, fixed=host, known=known)
+                    seconds, made = busy(lambda m=model, r=request: m.generate(r))
+                    told = made.recipe.steps[-1].get("report", {})
+                    bodies = f"{told.get('bodies', '')} {told.get('standing', '')}"
+                    row(f"{name}, {case}, {method}", seed, *figures(made), bodies, f"{seconds:.1f}")
+
+
+def _made(name: str) -> tb.Image:
+    """Return a material that is made by its process."""
+    return tb.Image(FORMS[name](np.random.default_rng(0)).astype(np.uint8), "labels")
+
+
+def _part(image: tb.Image, case: str) -> tb.Image:
+    """Return what was made."""
+    values = image.values[(HOLE,) * 3] if case == "hole" else image.values[HELD:]
+    fields = {"phases": image.phases, "spacing": image.spacing, "unit": image.unit}
+    return tb.Image(np.ascontiguousarray(values), "labels", **fields)
 
 
 def _beside(scan: tb.Image, corner: list[int]) -> tb.Image:

@@ -80,7 +80,7 @@ def test_methods_that_cannot_make_the_request_are_not_tried(bone):
         return [one.capabilities.name for one in found]
 
     assert others("--shape", "64") == ["packing", "fibres"]
-    assert others("--fixed", "bone.tif", "--shape", "64", "64", "80") == []
+    assert others("--fixed", "bone.tif", "--shape", "64", "64", "80") == ["packing"]
     assert others("--shape", "64", "--target", "porosity=0.8") == []
     assert others("--shape", "2000", "2000", "2000", "--memory", "1") == []
 

@@ -4,10 +4,11 @@ refused.
 
 import numpy as np
 import pytest
+from packing_balls import balls_in, bodies_of, packed
+from packing_balls import beads as touching
 
 import trabecula as tb
 from trabecula.core.errors import InputError, RequestError
-from trabecula.synth.packing.arrangement import arrange
 from trabecula.synth.packing.drawing import draw_depth
 from trabecula.synth.packing.radial_shapes import (
     NODES,
@@ -18,34 +19,12 @@ from trabecula.synth.packing.radial_shapes import (
     radius_towards,
     table_directions,
 )
-from trabecula.synth.packing.scan_bodies import ScanBodies, find_bodies
+from trabecula.synth.packing.scan_bodies import find_bodies
 from trabecula.synth.shared.packed.depth import deepest_by_share, deepest_share
 from trabecula.synth.shared.packed.neighbours import neighbour_pairs
 from trabecula.synth.shared.packed.trials import SEPARATIONS, search
 
 CUBE = np.ones(3)
-
-
-def balls_in(side, places, radii):
-    """Return a volume of labels with balls in a box that repeats."""
-    inside = np.zeros((side,) * 3, bool)
-    for place, radius in zip(places, np.broadcast_to(radii, len(places)), strict=True):
-        lines = [np.arange(int(at - radius) - 1, int(at + radius) + 2) for at in place]
-        off = np.ix_(*(line + 0.5 - at for line, at in zip(lines, place, strict=True)))
-        inside[np.ix_(*(line % side for line in lines))] |= sum(o**2 for o in off) < radius**2
-    return inside
-
-
-def bodies_of(*radii, density=1e-3, lie=False):
-    """Return bodies that are balls of these radii, each as frequent."""
-    tables = np.stack([np.full(SIZE, radius, np.float32) for radius in radii])
-    weights = np.full(len(radii), 1 / len(radii))
-    return ScanBodies(tables, weights, density, 0.3, 0.0, lie)
-
-
-def packed(bodies, side, seed=0, **settings):
-    given = {"separation": 1.0, "any_way": True, "density": bodies.density} | settings
-    return arrange(bodies, (float(side),) * 3, seed=seed, quiet=True, **given)
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +40,7 @@ def grid():
 @pytest.fixture(scope="module")
 def beads():
     """Touching beads of one size, packed by the process that is tested elsewhere."""
-    made = packed(bodies_of(6.0, density=0.5 / (4 / 3 * np.pi * 6**3)), 72, seed=5)
-    return tb.Image(balls_in(72, made.places, 6.0).astype(np.uint8), "labels")
+    return tb.Image(touching(72, seed=5)[1].astype(np.uint8), "labels")
 
 
 def test_harmonics_are_of_mean_square_one_and_know_nothing_of_each_other():

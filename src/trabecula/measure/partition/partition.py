@@ -99,6 +99,7 @@ def partition(
     *,
     smoothing: float,
     reach: float | None,
+    unseen: np.ndarray | None = None,
 ) -> Partition:
     """Cut a phase into regions, one for each peak of its distance map.
 
@@ -112,8 +113,13 @@ def partition(
         Axes that repeat.
     smoothing, reach : float
         As for `peaks.find_peaks`.
+    unseen : bool array, (Z, Y, X), optional
+        Voxels of no known phase, none of them inside: they bound nothing, as the faces of the array
+        do not.
     """
-    spheres = inscribed_spheres(inside, steps, wraps)
+    spheres = inscribed_spheres(inside if unseen is None else inside | unseen, steps, wraps)
+    if unseen is not None:
+        spheres.radius[unseen] = 0
     peaks = find_peaks(spheres.radius, steps, wraps, smoothing=smoothing, reach=reach)
     rank = spheres.rank(spheres.radius)
     rank[~inside] = 0

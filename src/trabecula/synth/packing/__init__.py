@@ -15,7 +15,7 @@ CAPABILITIES = Capabilities(
     method="trabecula.synth.packing.method:Packing",
     learns_from=("volume",),
     kinds=("labels",),
-    honours=frozenset({"periodic", "mask", "target"}),
+    honours=frozenset({"periodic", "mask", "target", "fixed"}),
     trial={"phase": "void", "separation": 0.9, "fillet": 0.5, "degree": 2},
     sample="cells",
 )

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,11 @@ from trabecula.synth.packing import CAPABILITIES
 from trabecula.synth.packing.arrangement import Arrangement, arrange
 from trabecula.synth.packing.config import PackingConfig
 from trabecula.synth.packing.drawing import draw_depth
+from trabecula.synth.packing.known_bodies import KnownBodies
 from trabecula.synth.packing.radial_shapes import SIZE
 from trabecula.synth.packing.scan_bodies import LEAST, ScanBodies, find_bodies
+from trabecula.synth.packing.standing import lines_beside
+from trabecula.synth.shared.content.kinds import Labels, free_voxels
 from trabecula.synth.shared.own_figures import OwnFigures
 from trabecula.synth.shared.packed.method import PackedMethod, PackedModel
 from trabecula.synth.shared.packed.trials import Packed, SmallPackings, choose
@@ -33,6 +37,7 @@ _ALIKE, _GOOD = 1.5, 1.0
 figures are off by more than so many spreads."""
 
 _BODY = 1000  # bytes of a body with its neighbours
+_BESIDE, _CUT = 38, 38  # bytes of a voxel beside known ones, and of one near the joint
 
 
 class Packing(PackedMethod):
@@ -137,17 +142,52 @@ class PackingModel(PackedModel):
     def _depth(
         self, request: Request, sides: np.ndarray, share: float
     ) -> tuple[np.ndarray, dict[str, Any]]:
+        apart, known, beside = self.packed.separation, None, None
+        if request.fixed is not None:
+            known = KnownBodies.of(request, self.label, self._steps)
+            beside = known.measure_free(self.bodies, self.config.degree, apart, sides)
         arrangement = arrange(
             self.bodies,
             sides,
-            separation=self.packed.separation,
+            separation=apart,
             any_way=is_any_way(self.config, self.bodies),
             density=self.bodies.density * share / self.fraction,
             seed=request.seed,
+            beside=beside,
         )
+        del beside  # its distances
         depth = draw_depth(arrangement, request.shape, self._steps, self.packed.fillet)
-        lacking = round(arrangement.lacking, 4)
-        return depth, {"bodies": len(arrangement.places), "lacking": lacking}
+        report: dict[str, Any] = {
+            "bodies": arrangement.count,
+            "lacking": round(arrangement.lacking, 4),
+        }
+        if known is not None:
+            free = free_voxels(request)
+            depth = known.join(depth, float(np.quantile(depth[free], 1 - share)))
+            stand = len(arrangement.places) - arrangement.count
+            report |= {"standing": stand, "cut": arrangement.cut}
+        return depth, report
+
+    def _share(self, request: Request) -> float | np.ndarray:
+        """Return the share of bodies among the free voxels: beside known ones by the same rule as
+        for `texture`.
+        """
+        wanted = super()._share(request)
+        if request.fixed is None or np.ndim(wanted):
+            return wanted
+        content = Labels(self.exemplars, histogram=True)
+        shares = content.free_fractions(request, free_voxels(request))
+        return float(shares[content.present.index(self.label)])
+
+    def memory(self, request: Request) -> Mapping[str, int]:
+        """Forecast the depth of the voxels, and the bodies; and distances beside known voxels."""
+        found = dict(super().memory(request))
+        if request.known is not None:
+            lines = lines_beside(request.known, request.periodic, 2 * self.largest / self._steps)
+            held = max(_BESIDE * prod(request.shape), _CUT * prod(map(len, lines)))
+            beside = held + int(self._body_bytes(self._torus(request)))
+            found["depth or figures"] = max(found["depth or figures"], beside)
+        return found
 
     def _body_bytes(self, sides: np.ndarray) -> float:
         return _BODY * self.bodies.density * float(np.prod(sides))

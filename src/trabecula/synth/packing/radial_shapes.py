@@ -16,11 +16,13 @@ continuous."""
 
 SIZE = 6 * NODES * NODES
 
+FINE = 256.0
+"""Steps of a length: the last bits of a fit differ between processors."""
+
 _SMOOTHNESS = 1e-4  # weight of (l (l + 1))^2 beside the mean square of what the fit leaves
 _PER_TERM = 8  # faces of voxels that a coefficient needs
 _ROUND = 2  # degree of the harmonics that say where a body ends behind a contact
 _HIDDEN = 0.3  # weight of that beside what is seen
-_FINE = 256.0  # steps of a radius: the last bits of a fit differ between processors
 
 
 def table_directions() -> np.ndarray:
@@ -87,7 +89,9 @@ def degree_for(faces: int, most: int) -> int:
     return max(0, min(most, math.isqrt(faces // _PER_TERM) - 1))
 
 
-def fit_radii(offsets: np.ndarray, contact: np.ndarray, degree: int) -> tuple[np.ndarray, float]:
+def fit_radii(
+    offsets: np.ndarray, contact: np.ndarray, degree: int, ball: np.ndarray | None = None
+) -> tuple[np.ndarray, float]:
     """Fit the radii of a body.
 
     Parameters
@@ -98,6 +102,9 @@ def fit_radii(offsets: np.ndarray, contact: np.ndarray, degree: int) -> tuple[np
         Those towards another body: no surface, but the body reaches as far at least.
     degree : int
         Of the harmonics.
+    ball : (k, 3) float, optional
+        Points of `table_directions` times the radius of a ball, where nothing is seen of the body:
+        the ellipsoid that says where the body ends there is drawn towards them.
 
     Returns
     -------
@@ -105,19 +112,27 @@ def fit_radii(offsets: np.ndarray, contact: np.ndarray, degree: int) -> tuple[np
     misfit : float
         Root mean square of the distances of its free faces from them.
     """
+    if ball is not None:
+        offsets = np.concatenate([offsets, ball])
+        contact = np.concatenate([contact, np.zeros(len(ball), bool)])
+    unseen = np.arange(len(offsets)) >= len(offsets) - (0 if ball is None else len(ball))
     far = np.linalg.norm(offsets, axis=1)
     keep = far > 0
-    far, contact = far[keep], contact[keep]
+    far, contact, unseen = far[keep], contact[keep], unseen[keep]
     terms = harmonics(offsets[keep] / far[:, None], degree)
     wanted, weight = far.copy(), np.where(contact, _HIDDEN, 1.0)
-    if contact.any():
+    # as many points of the ball a solid angle as it had faces of voxels
+    weight[unseen] = _HIDDEN * 6 * np.pi * far[unseen] ** 2 / SIZE
+    guessed = contact | unseen
+    if guessed.any():
         round_ = terms[:, : (min(degree, _ROUND) + 1) ** 2]
-        seen = _solved(round_[~contact], far[~contact], 1.0, min(degree, _ROUND))
-        wanted[contact] = np.maximum(far, round_ @ seen)[contact]
+        clues = _solved(round_[~contact], far[~contact], weight[~contact], min(degree, _ROUND))
+        least = np.where(unseen, 0, far)
+        wanted[guessed] = np.maximum(least, round_ @ clues)[guessed]
     found = _solved(terms, wanted, weight, degree)
     radii = np.maximum(harmonics(table_directions(), degree) @ found, 0.3 * far.min())
-    misfit = float(np.sqrt(np.mean((terms @ found - far)[~contact] ** 2)))
-    return (np.rint(radii * _FINE) / _FINE).astype(np.float32), misfit
+    misfit = float(np.sqrt(np.mean((terms @ found - far)[~guessed] ** 2)))
+    return (np.rint(radii * FINE) / FINE).astype(np.float32), misfit
 
 
 def _solved(
@@ -133,4 +148,4 @@ def _solved(
 def ball_radii(volume: float) -> np.ndarray:
     """Return the table of a ball of this volume."""
     radius = (3 * volume / (4 * math.pi)) ** (1 / 3)
-    return np.full(SIZE, round(radius * _FINE) / _FINE, np.float32)
+    return np.full(SIZE, round(radius * FINE) / FINE, np.float32)

@@ -9,6 +9,7 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.measure.labelling import labels_at_faces
 from trabecula.measure.partition import REACH, SMOOTHING, Partition, cut_phase, measure_shapes
+from trabecula.synth.packing.body_faces import BodyFaces
 from trabecula.synth.packing.radial_shapes import ball_radii, degree_for, fit_radii
 
 LEAST = 8
@@ -60,10 +61,11 @@ def find_bodies(image: Image, label: int, degree: int) -> ScanBodies | None:
     if whole.sum() < LEAST:
         return None
     numbers = np.flatnonzero(whole)
-    faces = _BodyFaces.of(cut)
+    faces = BodyFaces.of(cut)
     radii, misfits = [], []
     for number in numbers:
-        offsets, contact = faces.around(number, shapes.centroid[number])
+        own = faces.of_region(number)
+        offsets, contact = faces.places[own] - shapes.centroid[number], faces.contact[own]
         volume = float(shapes.volume[number])
         terms = degree_for(int((~contact).sum()), degree)
         if terms:
@@ -112,39 +114,3 @@ def _lie(covariance: np.ndarray) -> bool:
     mean = along.mean(axis=0)
     error = along.std(axis=0) / np.sqrt(len(along)) + 1e-12
     return bool(((np.abs(mean) > _LONGER) & (np.abs(mean) > _SURE * error)).any())
-
-
-@dataclass(frozen=True, eq=False)
-class _BodyFaces:
-    """Faces of voxels around regions, sorted by region: places in edges, and whether another region
-    is beyond.
-    """
-
-    starts: np.ndarray
-    places: np.ndarray
-    contact: np.ndarray
-
-    @classmethod
-    def of(cls, cut: Partition) -> _BodyFaces:
-        owners, places, contacts = [], [], []
-        for axis in range(3):
-            low = np.take(cut.labels, range(cut.labels.shape[axis] - 1), axis)
-            high = np.take(cut.labels, range(1, cut.labels.shape[axis]), axis)
-            at = np.nonzero(low != high)
-            place = np.stack(at, axis=1).astype(np.float64)
-            place[:, axis] += 0.5
-            contact = (low[at] > 0) & (high[at] > 0)
-            for side in (low[at], high[at]):
-                own = side > 0
-                owners.append(side[own] - 1)
-                places.append(place[own] * cut.steps)
-                contacts.append(contact[own])
-        owner = np.concatenate(owners)
-        order = np.argsort(owner, kind="stable")
-        starts = np.searchsorted(owner[order], np.arange(cut.count + 1))
-        return cls(starts, np.concatenate(places)[order], np.concatenate(contacts)[order])
-
-    def around(self, number: int, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the faces of a region from its centre, and which are contacts."""
-        part = slice(self.starts[number], self.starts[number + 1])
-        return self.places[part] - centre, self.contact[part]

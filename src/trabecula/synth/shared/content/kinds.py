@@ -173,7 +173,7 @@ class Labels(Content):
 
     def to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
         free = free_voxels(request)
-        wanted = self._target_fractions(request, free) if self.histogram or request.target else None
+        wanted = self.free_fractions(request, free) if self.histogram or request.target else None
         values = labels_of(votes, self.present, wanted, free)
         return complete(values, request, empty=self.empty)
 
@@ -182,7 +182,7 @@ class Labels(Content):
         values = labels_of_upper(upper, self.present)
         return complete(values, request, empty=self.empty)
 
-    def _target_fractions(self, request: Request, free: np.ndarray | None) -> np.ndarray:
+    def free_fractions(self, request: Request, free: np.ndarray | None) -> np.ndarray:
         """Return the fractions of the free voxels: the exemplar's, or those of the exemplar and of
         known voxels near by together, or those that meet a target.
         """

@@ -22,6 +22,7 @@ from trabecula.core.target import porosity_of
 from trabecula.engine.parallel import thread_count
 from trabecula.synth.api.method import Method, Model
 from trabecula.synth.shared.content.fields import phases_present
+from trabecula.synth.shared.content.kinds import complete, free_voxels
 from trabecula.synth.shared.own_figures import LEAST, OwnFigures, figure_stages, tell_off
 from trabecula.synth.shared.packed.depth import deepest_by_share, deepest_share
 from trabecula.synth.shared.packed.trials import BOX, Packed
@@ -134,7 +135,8 @@ class PackedModel(Model):
     def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
         """Place the bodies, and take as many of the deepest voxels as are wanted."""
         wanted = self._share(request)
-        inside = ... if request.mask is None or not np.ndim(wanted) else request.mask
+        free = free_voxels(request)
+        inside = ... if free is None or not np.ndim(wanted) else free
         share = float(np.mean(np.asarray(wanted)[inside]))
         values, report = self._placed(request, wanted, share)
         report |= {
@@ -151,19 +153,18 @@ class PackedModel(Model):
         each, and what to report.
         """
         depth, report = self._depth(request, self._torus(request), share)
+        free = free_voxels(request)
         if isinstance(wanted, np.ndarray):
-            chosen = deepest_by_share(depth, wanted, request.mask)
+            chosen = deepest_by_share(depth, wanted, free)
         else:
-            chosen = deepest_share(depth, share, request.mask)
+            chosen = deepest_share(depth, share, free)
         return self._labelled(chosen, request), report
 
     def _labelled(self, chosen: np.ndarray, request: Request) -> np.ndarray:
-        """Return the labels of a result, empty outside the mask."""
+        """Return the labels of a result, empty outside the mask and as they are where known."""
         other = next(one for one in phases_present(self.exemplars) if one != self.label)
         values = np.where(chosen, np.uint8(self.label), np.uint8(other))
-        if request.mask is not None:
-            values[~request.mask] = self.facts[0].empty_label
-        return values
+        return complete(values, request, empty=self.facts[0].empty_label)
 
     def _compare(self, request: Request, values: np.ndarray) -> dict[str, Any]:
         """Tell what is off in a result, and return its figures for the report; none where it is to
