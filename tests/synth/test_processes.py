@@ -217,9 +217,26 @@ def test_a_volume_from_one_picture_is_of_the_process_that_it_resembles():
     assert (model.generate(40, seed=2, periodic=True).values != made.values).any()
 
     plain = tb.method("kopf", **quick).fit(picture)
-    target = {"porosity": 0.16}
-    beside = model.generate(24, seed=1, target=target)
-    np.testing.assert_array_equal(beside.values, plain.generate(24, seed=1, target=target).values)
+    far = {"porosity": 0.03}
+    beside = model.generate(24, seed=1, target=far)
+    np.testing.assert_array_equal(beside.values, plain.generate(24, seed=1, target=far).values)
     named = tb.method("kopf", process="gaussian", **quick).fit(picture)
-    with pytest.raises(RequestError, match="process=gaussian beside target"):
-        named.generate(24, target=target)
+    with pytest.raises(RequestError, match="beside a porosity far from the picture's"):
+        named.generate(24, target=far)
+
+
+def test_a_process_goes_with_a_porosity():
+    picture = as_labels(picture_of("void_mixed_spheres", fraction=0.85, length=10.0))
+    model = tb.method("kopf", process="auto").fit(picture)
+    surface = []
+    for porosity in (0.1, 0.15, 0.22):
+        made = model.generate(64, seed=1, target={"porosity": porosity})
+        report = made.recipe.steps[-1]["report"]["like"]
+        assert report["process"] == "void_mixed_spheres"
+        assert report["fraction"]["asked"] == pytest.approx(1 - porosity)
+        assert tb.measure.porosity(made) == pytest.approx(porosity, abs=1e-5)
+        assert tb.measure.largest_fraction(made, phase="void") < 0.5
+        surface.append(tb.measure.specific_surface(made))
+    plain = tb.measure.specific_surface(model.generate(64, seed=1))
+    assert surface[1] == pytest.approx(plain, rel=0.05)
+    assert surface[0] < 0.8 * plain and surface[2] > 1.2 * plain

@@ -92,12 +92,30 @@ def test_three_phases_and_other_parts_are_refused(views):
     relative = material((40, 40, 40), 2.0, 1)
     with pytest.raises(RequestError, match="3 phases, a relative is for two"):
         adapt_relative(relative, views, (0, 1, 2))
-    with pytest.raises(RequestError, match="like beside target"):
-        tb.Request(40, like=relative, target={"porosity": 0.7})
+    known = np.ones((40, 40, 40), bool)
+    known[0] = False
+    with pytest.raises(RequestError, match="like beside fixed"):
+        tb.Request(40, like=relative, fixed=relative, known=known)
     with pytest.raises(InputError, match="plain ndarray"):
         tb.Request(40, like=relative.values)
     with pytest.raises(InputError, match="3-D scan of labels"):
         tb.Request(40, like=views[0].image)
+
+
+def test_a_relative_goes_with_a_porosity(views):
+    found = adapt_relative(material((80, 80, 80), 4.0, 1, share=0.4), views, (0, 1))
+    moved = found.at_fraction(0.2, (0, 1))
+    assert moved.image.values.mean() == pytest.approx(0.2, abs=2e-3)
+    assert (moved.image.values <= found.image.values).all() and moved.own is found.own
+    assert moved.report["fraction"]["asked"] == 0.2
+    with pytest.raises(RequestError, match=r"0\.700 is asked for solid, and the picture has"):
+        found.at_fraction(0.7, (0, 1))
+    model = tb.method("kopf").fit(views[0].image)
+    like = material((80, 80, 80), 4.0, 1, share=0.4)
+    made = model.generate(40, seed=1, like=like, target={"porosity": 0.75})
+    assert tb.measure.porosity(made) == pytest.approx(0.75, abs=1e-4)
+    again = model.generate(40, seed=1, like=like)
+    assert tb.measure.porosity(again) == pytest.approx(1 - views[0].image.values.mean(), abs=1e-4)
 
 
 def test_the_target_moves_by_what_the_picture_differs_by():

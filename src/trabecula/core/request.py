@@ -408,11 +408,11 @@ def _check_like(request: Request) -> None:
             f"the relative is {like.kind} of shape {like.shape}: give a 3-D scan of labels "
             "(a grey one is segmented with tb.segment)"
         )
-    beside = sorted(request.asks_for() - {"like", "periodic", "mask"})
+    beside = sorted(request.asks_for() - {"like", "periodic", "mask", "target"})
     if beside:
         raise RequestError(
-            f"like beside {', '.join(beside)}: a relative goes with shape, seed, periodic axes and "
-            f"a mask alone; leave out {beside[0]}"
+            f"like beside {', '.join(beside)}: a relative goes with shape, seed, periodic axes, a "
+            f"mask and a porosity alone; leave out {beside[0]}"
         )
 
 

@@ -25,6 +25,7 @@ from trabecula.synth.kopf.coarse_scan import CoarseScan, check_scan
 from trabecula.synth.kopf.config import KopfConfig
 from trabecula.synth.kopf.fusion import FusionRounds
 from trabecula.synth.kopf.process_relative import ProcessRelative, choose_process
+from trabecula.synth.kopf.relative import are_far_apart
 from trabecula.synth.kopf.relative_model import RelativeModel
 from trabecula.synth.kopf.sharpening import sharpen, sharpening_stages
 from trabecula.synth.shared.content.fields import phases_present
@@ -72,7 +73,7 @@ class KopfModel(SolidModel):
     capabilities = CAPABILITIES
     rounds_type = KopfRounds
     config: KopfConfig
-    _learnt: tuple[Image, RelativeModel] | None = None
+    _learnt: tuple[Image, float | None, RelativeModel] | None = None
     _chosen: ProcessRelative | None = None
 
     def make(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
@@ -112,7 +113,7 @@ class KopfModel(SolidModel):
         if beside and self.config.process not in ("none", "auto"):
             raise RequestError(
                 f"process={self.config.process} beside {beside}: a process goes with shape, seed, "
-                "periodic axes and a mask alone; leave out one of them"
+                "periodic axes, a mask and a porosity alone; leave out one of them"
             )
         relative = self._relative(request)
         if relative is not None:
@@ -128,14 +129,14 @@ class KopfModel(SolidModel):
                     f"the exemplar is {self.exemplars[0].kind}: beside a relative a picture is of "
                     "labels; segment it (--threshold)"
                 )
-            return self._learn_relative(request.like)
+            return self._learn_relative(request, request.like)
         if self.config.process == "none" or self._beside_process(request):
             return None
         chosen = self._process()
         if chosen.relative is None:
             return None
         try:
-            return self._learn_relative(chosen.relative, chosen.report)
+            return self._learn_relative(request, chosen.relative, chosen.report)
         except RequestError as err:
             if self.config.process != "auto":
                 raise
@@ -143,13 +144,25 @@ class KopfModel(SolidModel):
             return None
 
     def _learn_relative(
-        self, like: Image, process: Mapping[str, Any] | None = None
+        self, request: Request, like: Image, process: Mapping[str, Any] | None = None
     ) -> RelativeModel:
-        """Return what is learnt from a relative; the last one is kept."""
-        if self._learnt is None or self._learnt[0] is not like:
-            made = RelativeModel.of(like, self.views, self._phases()[1], process)
-            self._learnt = (like, made)
-        return self._learnt[1]
+        """Return what is learnt from a relative at the fraction of a request; the last one is
+        kept.
+        """
+        known, fraction = self._learnt, self._asked_fraction(request)
+        if known is None or known[0] is not like or known[1] != fraction:
+            made = RelativeModel.of(like, self.views, self._phases()[1], process, fraction)
+            known = self._learnt = (like, fraction, made)
+        return known[2]
+
+    def _asked_fraction(self, request: Request) -> float | None:
+        """Return the fraction of the second of two phases that a request asks for; None where it
+        asks for none.
+        """
+        if not request.target or not isinstance(self.content, Labels):
+            return None
+        asked = self.content.fractions_of_target(request)
+        return None if asked is None or len(asked) != 2 else float(asked[1])
 
     def _process(self) -> ProcessRelative:
         """Return the process that gives the third dimension, found once."""
@@ -166,7 +179,12 @@ class KopfModel(SolidModel):
 
     def _beside_process(self, request: Request) -> str:
         """Name the parts of a request that a process does not go with."""
-        return ", ".join(sorted(request.asks_for() - {"periodic", "mask"}))
+        beside = sorted(request.asks_for() - {"periodic", "mask", "target"})
+        asked = self._asked_fraction(request)
+        if asked is not None and isinstance(self.content, Labels):
+            own = float(self.content.fractions[1])
+            beside += ["a porosity far from the picture's"] if are_far_apart(asked, own) else []
+        return ", ".join(beside)
 
     def _phases(self) -> tuple[list[Image], tuple[int, ...]]:
         """Return the pictures of all views, and the labels that occur in them."""
@@ -182,7 +200,7 @@ class KopfModel(SolidModel):
         return found if request.coarse is None else (*found, *sharpening_stages(request.shape))
 
     def _fixed(self) -> dict[str, int]:
-        held = 0 if self._learnt is None else self._learnt[1].nbytes
+        held = 0 if self._learnt is None else self._learnt[2].nbytes
         return super()._fixed() | ({"relative": held} if held else {})
 
 

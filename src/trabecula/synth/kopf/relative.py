@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -68,16 +68,39 @@ class AdaptedRelative:
     Attributes
     ----------
     image : Image of labels
+    depth : (Z, Y, X) float32
+        How deep its voxels lie in the second of two phases.
     picture, own : SliceStatistics
-        Of the pictures and of the image.
+        Of the pictures, and of the image at their fraction.
     report : mapping
         For the recipe: plain JSON.
     """
 
     image: Image
+    depth: np.ndarray
     picture: SliceStatistics
     own: SliceStatistics
     report: dict[str, Any]
+
+    def at_fraction(self, fraction: float, present: Sequence[int]) -> AdaptedRelative:
+        """Return the relative with its interface shifted until the second of two phases has
+        another fraction than in the pictures.
+
+        Raises
+        ------
+        RequestError
+            A fraction that is far from the pictures'.
+        """
+        name = self.image.phases[present[1]]
+        if are_far_apart(fraction, self.picture.fraction):
+            raise RequestError(
+                f"a volume fraction of {fraction:.3f} is asked for {name}, and the picture has "
+                f"{self.picture.fraction:.3f} (odds {_ODDS:g} times apart at most): ask for one "
+                "nearer to it"
+            )
+        report = {**self.report, "fraction": {**self.report["fraction"], "asked": fraction}}
+        image = _image_of(self.depth, fraction, present, self.image.phases)
+        return replace(self, image=image, report=report)
 
 
 def is_seen_alike(views: Sequence[View]) -> bool:
@@ -112,7 +135,9 @@ def adapt_relative(like: Image, views: Sequence[View], present: Sequence[int]) -
     _check_fraction(name, float(inside.mean()), picture.fraction)
     before = statistics_of_volume(inside, alike=alike)
     scales = _scales(picture, before)
-    made = _rescale(inside, scales, picture.fraction)
+    depth = _depth_at(inside, scales)
+    image = _image_of(depth, picture.fraction, present, phases)
+    made = image.values == present[1]
     if min(made.shape) < LEAST:
         raise RequestError(
             f"the relative is {like.shape}, at the picture's scale {made.shape}: give one of at "
@@ -144,8 +169,7 @@ def adapt_relative(like: Image, views: Sequence[View], present: Sequence[int]) -
         "two_point_distance": apart,
         "interface_ratio": ratio,
     }
-    labels = np.where(made, np.uint8(present[1]), np.uint8(present[0]))
-    return AdaptedRelative(Image(labels, "labels", phases=phases), picture, own, report)
+    return AdaptedRelative(image, depth, picture, own, report)
 
 
 def statistics_of_volume(inside: np.ndarray, *, alike: bool) -> SliceStatistics:
@@ -198,13 +222,18 @@ def _statistics_of_views(views: Sequence[View], label: int, *, alike: bool) -> S
 
 def _check_fraction(name: str, relative: float, picture: float) -> None:
     """Raise where the fraction of a phase is far from the picture's."""
-    low, high = sorted((relative, picture))
-    if high == 1 or high * (1 - low) > _ODDS * low * (1 - high):
+    if are_far_apart(relative, picture):
         raise RequestError(
             f"the volume fraction of {name} is {relative:.3f} in the relative and {picture:.3f} "
             f"in the picture (odds {_ODDS:g} times apart at most): give a scan of a material as "
             "dense, with phases in the same order"
         )
+
+
+def are_far_apart(one: float, other: float) -> bool:
+    """Return whether the odds of two fractions differ by more than a relative may be shifted."""
+    low, high = sorted((one, other))
+    return high == 1 or high * (1 - low) > _ODDS * low * (1 - high)
 
 
 def _scales(picture: SliceStatistics, relative: SliceStatistics) -> tuple[float, ...]:
@@ -222,10 +251,8 @@ def _scales(picture: SliceStatistics, relative: SliceStatistics) -> tuple[float,
     return tuple(found)
 
 
-def _rescale(inside: np.ndarray, scales: Sequence[float], fraction: float) -> np.ndarray:
-    """Return the centre of a phase (Z, Y, X) bool at another scale, with its interface shifted to
-    a fraction.
-    """
+def _depth_at(inside: np.ndarray, scales: Sequence[float]) -> np.ndarray:
+    """Return how deep voxels lie in the centre of a phase (Z, Y, X) bool, at another scale."""
     kept = []
     for side, scale in zip(inside.shape, scales, strict=True):
         width = min(side, math.ceil(MOST / scale))
@@ -235,7 +262,16 @@ def _rescale(inside: np.ndarray, scales: Sequence[float], fraction: float) -> np
     shape = [max(1, round(s * scale)) for s, scale in zip(centre.shape, scales, strict=True)]
     depth = resample_array(signed_distance(centre), shape)
     depth += _MIXED * gaussian(depth, 1.0)
-    return np.asarray(depth > np.quantile(depth, 1 - fraction))
+    return np.asarray(depth)
+
+
+def _image_of(
+    depth: np.ndarray, fraction: float, present: Sequence[int], phases: tuple[str, ...]
+) -> Image:
+    """Return labels with a fraction of the second phase, where it is deepest."""
+    inside = depth > np.quantile(depth, 1 - fraction)
+    labels = np.where(inside, np.uint8(present[1]), np.uint8(present[0]))
+    return Image(labels, "labels", phases=phases)
 
 
 def _distances(own: SliceStatistics, picture: SliceStatistics) -> list[float]:

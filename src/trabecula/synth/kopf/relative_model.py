@@ -61,8 +61,11 @@ class RelativeModel:
         views: Sequence[View],
         present: Sequence[int],
         process: Mapping[str, Any] | None = None,
+        fraction: float | None = None,
     ) -> RelativeModel:
-        """Learn a relative; of that of a `process`, what is to stand in the report as well.
+        """Learn a relative; of that of a `process`, what is to stand in the report as well. With
+        another `fraction` of the second phase than in the pictures its interface is shifted, and
+        what the picture's statistics differ from its own stays as it was.
 
         A process keeps its own two-point function. Steps towards the picture's bring it no nearer
         (two slices of Berea, 96^3: relative l2 of the covariance .19 and .18, with them or without)
@@ -72,9 +75,11 @@ class RelativeModel:
         Raises
         ------
         RequestError
-            As `adapt_relative`.
+            As `adapt_relative`, and a fraction that is far from the pictures'.
         """
         adapted = adapt_relative(like, views, present)
+        if fraction is not None:
+            adapted = adapted.at_fraction(fraction, present)
         settings = RelativeSettings() if process is None else RelativeSettings(layout="rounds")
         start = start_of([adapted.image], settings.layout)
         schedule = passes(1.0, start, settings.layout)
@@ -142,7 +147,7 @@ class RelativeModel:
         kept = [candidates for aim in self.aims for candidates in aim.candidates]
         fields = sum(aim.stack.field.nbytes for aim in self.aims)
         held = sum(c.features.nbytes + 9 * c.allowed.nbytes for c in kept)
-        return fields + held + _LAYOUT_BYTES * self.adapted.image.values.size
+        return fields + held + (_LAYOUT_BYTES + 4) * self.adapted.image.values.size
 
 
 def _aim_at_picture(
