@@ -165,6 +165,14 @@ def test_a_volume_that_is_there_is_not_made_again(tmp_path, model, monkeypatch):
     assert not (tmp_path / "7-volume.zarr").exists()
 
 
+def test_members_in_folders_of_their_own_leave_nothing_else(tmp_path, model):
+    members = draw_members(model, tb.Request(SIDE, seed=7), count=2)
+    made = generate_members(model, members, str(tmp_path / "{seed}" / "rock.nrrd"))
+    assert [one.path.parent.name for one in made.members] == ["7", "8"]
+    left = sorted(path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*"))
+    assert left == ["7", "7/rock.nrrd", "8", "8/rock.nrrd", "ensemble", "ensemble/rock.json"]
+
+
 def test_other_members_in_their_place_are_made_anew(tmp_path, model):
     pattern = str(tmp_path / "{seed}.npy")
     request = tb.Request(SIDE, seed=7)

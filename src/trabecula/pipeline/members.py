@@ -75,8 +75,9 @@ def member_path(pattern: str, seed: int) -> Path:
 
 
 def _volume_path(pattern: str, seed: int) -> Path:
-    """Return the place of a volume that members are parts of."""
-    return Path(pattern.replace(SEED, f"{seed}-volume")).with_suffix(".zarr")
+    """Return the place of a volume that members are parts of: beside the first of these."""
+    first = member_path(pattern, seed)
+    return first.with_name(f"{first.stem}-volume.zarr")
 
 
 def manifest_path(pattern: str) -> Path:
