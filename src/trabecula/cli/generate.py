@@ -446,7 +446,8 @@ def _make_members(options: argparse.Namespace, count: int, spread: float, cluste
     cut = {"memory": options.memory, "chunks": options.chunks}
     volumes = [request for request, _ in members.volumes()]
     size = plan_to(model, volumes[0], first, **cut).disk if cluster is None else 0
-    check_target(first, size=size * len(volumes), resumes=True)
+    beside = int(members.members[0].corner is not None)  # a volume while its parts are written
+    check_target(first, size=size * (len(volumes) + beside), resumes=True)
     with part(learned, 1):
         made = generate_members(
             model, members, options.out, **cut, cluster=cluster, scratch=options.scratch

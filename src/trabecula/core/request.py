@@ -62,7 +62,7 @@ class Request:
         own: down-sampled, the result is to be this scan. It stands beside shape and seed alone.
     like : Image of labels, (Z, Y, X), optional
         A scan of a similar material, of any size: what pictures do not show is taken from it. It
-        stands beside shape, seed, periodic axes and a mask alone.
+        stands beside shape, seed, periodic axes, a mask and a target porosity alone.
 
     Attributes
     ----------

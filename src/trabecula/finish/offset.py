@@ -27,12 +27,13 @@ from trabecula.finish.periodic import (
     periodic_setting,
     roll_by,
 )
+from trabecula.measure.dilate import dilate
 from trabecula.measure.phases import as_periodic, indicator
 from trabecula.measure.skeleton.simple import around, euler_changes, is_simple, neighbourhood
 
 _NEAR = 1.0  # sigma, voxels, of the share of the phase that a voxel of the surface sees
 _AROUND = 4.0  # sigma, voxels, of the mean that it is held against
-_CHANCE = 0.15  # of that share, standard deviation: NMC keeps .99 to 1.02 of its surface
+_CHANCE = 0.15  # of that share, standard deviation
 
 
 def offset(
@@ -126,10 +127,9 @@ def _moved(
     chance = _chance(inside.shape, wraps)
     while change:
         side = now if change < 0 else ~now
-        surface = free & side & _beside(~side, wraps)
+        surface = free & side & dilate(~side, wraps=wraps)
         at = np.flatnonzero(surface)
-        near = gaussian_around(now, [_NEAR] * now.ndim, wraps)
-        level = _level(near, surface, wraps).ravel()[at]
+        level = _levels(now, surface, at, wraps)
         rank = chance.ravel()[at] + (level if change < 0 else -level)
         order = at[np.argsort(rank, kind="stable")]
         after, moved = _flip(now, order, abs(change), wraps)
@@ -149,27 +149,19 @@ def _chance(shape: Sequence[int], wraps: Sequence[bool]) -> np.ndarray:
     return np.asarray(smooth * np.float32(_CHANCE / left ** len(shape)))
 
 
-def _level(near: np.ndarray, surface: np.ndarray, wraps: Sequence[bool]) -> np.ndarray:
-    """Return how much more of the phase a voxel of the surface has around than the surface around
-    it.
+def _levels(
+    inside: np.ndarray, surface: np.ndarray, at: np.ndarray, wraps: Sequence[bool]
+) -> np.ndarray:
+    """Return how much more of the phase the voxels `at` of the surface have around than the surface
+    around them.
     """
-    widths = [_AROUND] * near.ndim
-    weight = gaussian_around(surface, widths, wraps)
-    total = gaussian_around(near * surface, widths, wraps)
-    return np.asarray(near - total / np.maximum(weight, np.float32(1e-6)))
-
-
-def _beside(other: np.ndarray, wraps: Sequence[bool]) -> np.ndarray:
-    """Return the voxels with a face on one of `other`."""
-    found = np.zeros_like(other)
-    for axis, wrap in enumerate(wraps):
-        here, there = np.moveaxis(found, axis, 0), np.moveaxis(other, axis, 0)
-        here[1:] |= there[:-1]
-        here[:-1] |= there[1:]
-        if wrap:
-            here[0] |= there[-1]
-            here[-1] |= there[0]
-    return found
+    near = gaussian_around(inside, [_NEAR] * inside.ndim, wraps)
+    own, widths = near.ravel()[at], [_AROUND] * inside.ndim
+    near *= surface
+    total = gaussian_around(near, widths, wraps).ravel()[at]
+    del near
+    weight = gaussian_around(surface, widths, wraps).ravel()[at]
+    return np.asarray(own - total / np.maximum(weight, np.float32(1e-6)))
 
 
 def _flip(

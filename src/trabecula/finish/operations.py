@@ -188,7 +188,7 @@ _DECLARED = (
             setting="fraction",
             metavar="F",
         ),
-        bytes_per_voxel=22,
+        bytes_per_voxel=37,
         inputs=("mask",),
     ),
     Operation(

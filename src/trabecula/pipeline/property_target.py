@@ -171,7 +171,7 @@ def match_property(
     def make(porosity: float) -> Image:
         return model.generate(replace(request, target={"porosity": porosity}), memory=memory)
 
-    results = _approach(goal, make, [], start=start, most=MOST, scatter=_JUMP)
+    results = _approach(goal, make, None, start=start, most=MOST, scatter=_JUMP)
     first = nearest = min(results, key=goal.off)
     moves: list[_Result] = []
     if goal.off(first) > limit:
@@ -183,7 +183,7 @@ def match_property(
                 return None
 
         start = _next(goal, [(first.porosity, first.value)], scatter=0)
-        moves = _approach(goal, move, [first], start=start, most=MOVES, scatter=0)
+        moves = _approach(goal, move, first, start=start, most=MOVES, scatter=0)
         nearest = min([first, *moves], key=goal.off)
     match = PropertyMatch(
         image=nearest.image,
@@ -226,7 +226,7 @@ class _Goal:
 def _approach(
     goal: _Goal,
     make: Callable[[float], Image | None],
-    known: list[_Result],
+    of: _Result | None,
     *,
     start: float,
     most: int,
@@ -240,8 +240,8 @@ def _approach(
     goal : _Goal
     make : callable
         Porosity -> image, or None where there is none.
-    known : list of _Result
-        None, or the one that others are made of: they stay within .03 of its porosity.
+    of : _Result, optional
+        What others are made of: they stay within .03 of its porosity.
     start : float
         The first porosity.
     most : int
@@ -249,21 +249,22 @@ def _approach(
         Results whose porosities are nearer differ by chance.
     """
     found: list[_Result] = []
+    points = [] if of is None else [(of.porosity, of.value)]
     porosity = start
     while len(found) < most:
-        for one in known:
-            porosity = min(one.porosity + _FARTHEST, max(one.porosity - _FARTHEST, porosity))
+        if of is not None:
+            porosity = min(of.porosity + _FARTHEST, max(of.porosity - _FARTHEST, porosity))
         porosity = round(porosity, _DIGITS)
-        points = [(one.porosity, one.value) for one in (*known, *found)]
         image = make(porosity) if _is_new(porosity, points) else None
         if image is None:
             break
-        found.append(_Result(porosity, measure_property(image, goal.name), image))
-        value = f"{goal.name} {found[-1].value:.4g}"
-        notify(f"{value} at porosity {porosity:.4f}, {goal.asked:.4g} asked")
+        value = measure_property(image, goal.name)
+        found.append(_Result(porosity, value, image))
+        points.append((porosity, value))
+        notify(f"{goal.name} {value:.4g} at porosity {porosity:.4f}, {goal.asked:.4g} asked")
         if goal.off(found[-1]) <= goal.within:
             break
-        porosity = _next(goal, [*points, (porosity, found[-1].value)], scatter=scatter)
+        porosity = _next(goal, points, scatter=scatter)
     return found
 
 

@@ -23,6 +23,7 @@ from trabecula.core.seeds import generator
 from trabecula.engine import memmap
 from trabecula.engine.chunking import Box
 from trabecula.engine.memory import Array, Stage
+from trabecula.measure.dilate import dilate
 from trabecula.measure.labelling import label_components
 from trabecula.measure.runs import RUN_BYTES, Runs, runs_of
 from trabecula.synth.shared.content.fields import FULL, UNIT
@@ -107,7 +108,7 @@ def _bodies_of(values: np.ndarray, label: int, volume: int) -> Iterator[SmallBod
     for place, box, density in _small_ones(found, values.shape, volume):
         sides = _sides(box)
         inside = np.pad(found.labels(sides) == place, _APART)
-        near = _dilate(inside, _APART)
+        near = dilate(inside, _APART)
         around = padded[tuple(slice(a, b + 2 * _APART) for a, b in sides)]
         counts = np.bincount(around[near & ~inside])
         counts[label:][:1] = 0
@@ -143,18 +144,6 @@ def _small_ones(
 def _sides(box: np.ndarray) -> Box:
     """Return first voxels and ends (6,) as a box."""
     return tuple(zip(box[:3].tolist(), box[3:].tolist(), strict=True))
-
-
-def _dilate(inside: np.ndarray, steps: int) -> np.ndarray:
-    """Mark what is at most so many steps across faces from (z, y, x) bool, too."""
-    found = inside.copy()
-    for _ in range(steps):
-        before = found.copy()
-        for axis in range(3):
-            near, far = np.moveaxis(before, axis, 0), np.moveaxis(found, axis, 0)
-            far[1:] |= near[:-1]
-            far[:-1] |= near[1:]
-    return found
 
 
 def _size_class(voxels: int) -> int:
@@ -318,7 +307,7 @@ class _Canvas:
         self._touch(sides[0][1] - sides[0][0])
         inside = components.labels(sides) == place
         window = tuple(slice(a, b) for a, b in sides)
-        around = self.values[window][_dilate(inside, 1) & ~inside]
+        around = self.values[window][dilate(inside, 1) & ~inside]
         counts = np.bincount(around[around != label], minlength=1)
         if counts.any():
             self._write(np.argwhere(inside), low, int(np.argmax(counts)))
