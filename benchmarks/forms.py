@@ -25,7 +25,7 @@ def texture_forms() -> None:
     """
     row = table("material, what", "out", "of", *NAMES, "CPU s", wide=36)
     for name in (one for one in asked("ONLY") or FORMS if one in FORMS):
-        whole = FORMS[name](np.random.default_rng(0)).astype(np.uint8)
+        whole = made_form(name)
         exemplar, other = (tb.Image(np.ascontiguousarray(part), "labels") for part in ends(whole))
         reference = reference_of(exemplar)
 
@@ -104,6 +104,11 @@ FORMS: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
     "fibres": _fibres,
     "tubes": _tubes,
 }
+
+
+def made_form(name: str) -> np.ndarray:
+    """Return a material of `FORMS`, uint8."""
+    return FORMS[name](np.random.default_rng(0)).astype(np.uint8)
 
 
 def _depth(draw: np.random.Generator, radius: float, spread: float, share: float) -> np.ndarray:

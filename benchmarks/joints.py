@@ -7,7 +7,7 @@ import numpy as np
 import trabecula as tb
 from common import asked, busy, table
 from descriptors import scans
-from forms import FORMS
+from forms import FORMS, made_form
 from texture import judged, reference_of
 
 SIDE, EXEMPLAR = 100, 96
@@ -16,7 +16,7 @@ HELD = 40
 """Planes that an extension continues."""
 SCANS = ("bone a", "bone with cortex", "Berea", "NMC")
 SEEDS = (1, 2)
-BODIES = ("beads", "cemented grains", "soil, Otsu", "cement, Otsu")
+BODIES = ("beads", "cemented grains", "suspension", "soil, Otsu", "cement, Otsu")
 SETTINGS: dict[str, dict[str, float]] = {"default": {}, "patches": {"novelty": 0}}
 
 
@@ -73,7 +73,7 @@ def packing_joints() -> None:
     heads = ("joint", "next", "made", "Euler", "thickness", "out", "of", "bodies", "seconds")
     row = table("material, case", "seed", *heads, wide=36)
     for name in (one for one in asked("ONLY") or BODIES if one in FORMS or one in scans()):
-        scan = _made(name) if name in FORMS else scans()[name]
+        scan = tb.Image(made_form(name), "labels") if name in FORMS else scans()[name]
         host = tb.crop(scan, SIDE, corner=[edge - SIDE for edge in scan.shape])
         exemplar = tb.crop(scan, EXEMPLAR, corner=(0, 0, 0))
         reference, models = reference_of(exemplar), {}
@@ -99,11 +99,6 @@ def packing_joints() -> None:
                     told = made.recipe.steps[-1].get("report", {})
                     bodies = f"{told.get('bodies', '')} {told.get('standing', '')}"
                     row(f"{name}, {case}, {method}", seed, *figures(made), bodies, f"{seconds:.1f}")
-
-
-def _made(name: str) -> tb.Image:
-    """Return a material that is made by its process."""
-    return tb.Image(FORMS[name](np.random.default_rng(0)).astype(np.uint8), "labels")
 
 
 def _part(image: tb.Image, case: str) -> tb.Image:

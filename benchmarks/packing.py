@@ -9,7 +9,7 @@ import numpy as np
 
 import trabecula as tb
 from common import asked, busy, table
-from forms import FORMS, ends
+from forms import FORMS, ends, made_form
 from texture import cells, judged, reference_of, wholes
 from trabecula.core.errors import InputError
 
@@ -73,7 +73,7 @@ def _materials(names: Sequence[str]) -> Iterator[tuple[str, tb.Image]]:
     there = wholes()
     for name in asked("ONLY") or names:
         if name in FORMS:
-            whole = FORMS[name](np.random.default_rng(0)).astype(np.uint8)
+            whole = made_form(name)
             yield name, tb.Image(np.ascontiguousarray(ends(whole)[0]), "labels")
         elif name in there:
             yield name, tb.crop(there[name], min(SIDE, *there[name].shape))
