@@ -103,8 +103,14 @@ class TextureConfig:
     vote_power: float = 0.0
     """With novelty: the power to which the finest level's distances are raised before they are
     averaged, 0 .. 4. Below 1 thin joins outlive a vote, above 1 they are smoothed away. 0 stands
-    for the power that leaves Euler numbers nearest to the exemplar's. Recipes and models that do
-    not name it: 1."""
+    for 1 where `interface_rounds` meet Euler numbers in the end, else for the power that leaves
+    these nearest to the exemplar's. Recipes and models that do not name it: 1."""
+
+    interface_rounds: int = 2
+    """With novelty: rounds over the voxels of interfaces in the end, 0 .. 10, in which single ones
+    change their phase until chords, cubes of voxels and neighbours occur as often as in the
+    exemplar. For two or three phases, without a target. Recipes and models that do not name it:
+    0."""
 
     beyond_known: float = 0.7
     """Beside known voxels: how far a known voxel of labels is taken to be from an interface beyond
@@ -217,7 +223,7 @@ class TextureConfig:
         """Complete the settings of a recipe or a model that is older than some of them."""
         before = {"layout": "coarse", "iso_value": "middle", "step_share": 0.5}
         later = {"grading": "shift", "connected": "none", "scan_phases": "two", "vote_power": 1.0}
-        later |= {"beyond_known": 0.0}
+        later |= {"beyond_known": 0.0, "interface_rounds": 0}
         known = {name: value for name, value in settings.items() if name not in _DROPPED}
         return {**before, **later, **known}
 
@@ -302,6 +308,7 @@ _RANGES = {
     "index_penalty": (0, 1),
     "robustness": (0, 2),
     "vote_power": (0, 4),
+    "interface_rounds": (0, 10),
     "beyond_known": (0, 1),
     "nearest": (1, 100),
     "gradient": (0, 100),

@@ -31,6 +31,7 @@ from trabecula.synth.shared.coarse_to_fine import levels_for, levels_that_fit
 from trabecula.synth.shared.content.bounds import Bounds
 from trabecula.synth.shared.content.fields import (
     FULL,
+    UNIT,
     channels_of,
     isotropic_scale,
     quantise,
@@ -43,7 +44,9 @@ from trabecula.synth.shared.content.kinds import (
     Values,
     complete,
     content_of,
+    free_voxels,
 )
+from trabecula.synth.shared.content.phase_fractions import labels_of_phases, phases_of
 from trabecula.synth.shared.frames import frames_of
 from trabecula.synth.shared.held_fractions import (
     HeldFractions,
@@ -76,6 +79,8 @@ from trabecula.synth.shared.own_figures import (
     figure_stages,
     tell_off,
 )
+from trabecula.synth.shared.patterns.counts import MOST_PHASES, Patterns
+from trabecula.synth.shared.patterns.flips import flip_voxels, pattern_stages
 from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve
 from trabecula.synth.shared.small_bodies import body_stages, learn_small_bodies, settle_phases
@@ -465,7 +470,48 @@ class TextureModel(Model):
             request = average_target(request)
         if self.novelty and not new:
             report["way"] = _PATCHES
-        return self.content.to_values(votes, request), report
+        values = self.content.to_values(votes, request)
+        if new and self._matches_patterns(request):
+            values, report["patterns"] = self._match_patterns(values, votes, request)
+        return values, report
+
+    def _matches_patterns(self, request: Request) -> bool:
+        """Return whether single voxels of new material change phase in the end: not where it is to
+        differ from the exemplar.
+        """
+        few = isinstance(self.content, Labels) and len(self.content.present) <= MOST_PHASES
+        return few and self.config.interface_rounds > 0 and not request.target
+
+    @cached_property
+    def _patterns(self) -> Patterns:
+        """Count the patterns of the exemplars."""
+        assert isinstance(self.content, Labels)
+        present = self.content.present
+        found = [
+            Patterns.of(phases_of(one.values, present), len(present)) for one in self.exemplars
+        ]
+        return sum(found[1:], found[0])
+
+    def _match_patterns(
+        self, values: np.ndarray, votes: np.ndarray, request: Request
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Return labels whose patterns are the exemplar's, and a report."""
+        assert isinstance(self.content, Labels)
+        present, free = self.content.present, free_voxels(request)
+        phases, report = flip_voxels(
+            phases_of(values, present),
+            votes,
+            self._patterns,
+            seed=request.seed,
+            rounds=self.config.interface_rounds,
+            unit=FULL / self.config.clip * UNIT,
+            wraps=request.periodic,
+            free=free,
+            valid=request.mask,
+        )
+        return complete(
+            labels_of_phases(phases, present), request, empty=self.content.empty
+        ), report
 
     def _make_turned(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
         """Make material that follows an orientation or a size, from turned and scaled copies."""
@@ -496,7 +542,10 @@ class TextureModel(Model):
             aims, slices = self._at_target(
                 average_target(request, free=True) if _is_field(request) else request
             )
-        return novel_layout.NovelRounds(aims, slices, schedule, request, self.config, around, held)
+        config = self.config
+        if self._matches_patterns(request) and not config.vote_power:
+            config = replace(config, vote_power=1.0)  # Euler numbers are met in the end
+        return novel_layout.NovelRounds(aims, slices, schedule, request, config, around, held)
 
     def _held_fractions(self, request: Request) -> list[HeldFractions]:
         """Return the fractions that new material holds around every place, finest first; none where
@@ -733,6 +782,12 @@ class TextureModel(Model):
             if self.small:
                 stages += body_stages(
                     request.shape, len(finest[-1].stack.field), known=request.fixed is not None
+                )
+            if self._matches_patterns(request):
+                stages += pattern_stages(
+                    request.shape,
+                    len(finest[-1].stack.field),
+                    free=free_voxels(request) is not None,
                 )
         else:
             region, finest = Region(request.shape, request.periodic), self.levels[0]

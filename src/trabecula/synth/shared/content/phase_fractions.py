@@ -58,11 +58,27 @@ def labels_of(
     )
 
 
+def phases_of(labels: np.ndarray, present: tuple[int, ...]) -> np.ndarray:
+    """Return the phases (Z, Y, X) uint8 of labels, counted from 0; the labels themselves where
+    they are that already.
+    """
+    if present == tuple(range(len(present))):
+        return labels
+    place = np.zeros(256, np.uint8)
+    place[list(present)] = np.arange(len(present))
+    return make_by_slabs(lambda a, b: place[labels[a:b]], labels.shape, np.uint8)
+
+
+def labels_of_phases(phases: np.ndarray, present: tuple[int, ...]) -> np.ndarray:
+    """Return the labels of phases (Z, Y, X) uint8, in their memory."""
+    return _in_place(phases, np.asarray(present, np.uint8))
+
+
 def labels_of_upper(upper: np.ndarray, present: tuple[int, ...]) -> np.ndarray:
     """Return labels (uint8) where the second of two phases is marked, (Z, Y, X) bool, in its
     memory.
     """
-    return _in_place(upper.view(np.uint8), np.asarray(present, np.uint8))
+    return labels_of_phases(upper.view(np.uint8), present)
 
 
 def _largest(fields: np.ndarray) -> np.ndarray:

@@ -1,0 +1,158 @@
+"""How often patterns of labels occur, and how often they could: what new material is held to.
+
+- **Chords**: runs of one phase along each axis, by their length; all that are longer than `REACH`
+  together. A run counts where it begins.
+- **Cubes** of 2 x 2 x 2 voxels, next to each other and `STRIDES` apart: every combination of
+  phases. Surfaces, mean curvature and Euler numbers are sums over the nearest ones (Ohser and
+  Muecklich 2000), pairs of voxels in 13 directions over all of them.
+- **Neighbours**: how many of the 6, 12 and 8 voxels that share a face, an edge or a corner with a
+  voxel have its phase. It tells a smooth interface from a rough one.
+
+A pattern that a face of the volume cuts is not counted, and the places where it could lie are
+counted beside it, so densities do not depend on the size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import pairwise
+
+import numpy as np
+
+from trabecula.engine import memmap
+from trabecula.engine.chunking import Box, boxes_of
+from trabecula.engine.parallel import for_items
+from trabecula.measure.configurations import cube_euler
+from trabecula.synth.shared.patterns.kernels import (
+    CHORDS,
+    MARGIN,
+    NEIGHBOURS,
+    STRIDES,
+    count_patterns,
+    load,
+)
+
+BLOCK = 40
+"""Voxels a side of the parts that are worked on at once."""
+
+MOST_PHASES = 3
+"""Cubes of more phases have too many combinations for an exemplar to tell their densities."""
+
+_CONNECTIVITIES = (6, 26)
+
+
+@dataclass(frozen=True)
+class Bins:
+    """Where the counts of every kind of pattern are, of so many phases."""
+
+    phases: int
+
+    @property
+    def cubes(self) -> int:
+        """Return the first bin of the cubes."""
+        return 3 * self.phases * CHORDS
+
+    @property
+    def combinations(self) -> int:
+        """Return the number of cubes of one stride."""
+        return int(self.phases**8)
+
+    @property
+    def neighbours(self) -> int:
+        """Return the first bin of the neighbours."""
+        return self.cubes + len(STRIDES) * self.combinations
+
+    @property
+    def total(self) -> int:
+        """Return the number of bins."""
+        return self.neighbours + self.phases * NEIGHBOURS
+
+    @cached_property
+    def rooms(self) -> np.ndarray:
+        """Return for every bin which of the counted rooms it has, (bins,)."""
+        lengths = np.arange(CHORDS)
+        chords = [axis * CHORDS + np.tile(lengths, self.phases) for axis in range(3)]
+        cubes = [np.full(self.combinations, 3 * CHORDS + n) for n in range(len(STRIDES))]
+        last = np.full(self.phases * NEIGHBOURS, 3 * CHORDS + len(STRIDES))
+        return np.concatenate([*chords, *cubes, last])
+
+    @cached_property
+    def euler(self) -> np.ndarray:
+        """Return the share of the nearest cubes in Euler numbers, (numbers, combinations): of the
+        second phase with 6 and 26 neighbours, of every phase where there are more than two.
+        """
+        codes = np.arange(self.combinations)
+        places = self.phases ** np.arange(8)
+        digits = codes[:, None] // places % self.phases
+        corners = [[k >> 2 & 1, k >> 1 & 1, k & 1] for k in range(8)]
+        assert corners[1] == [0, 0, 1]  # the order of `measure.configurations`
+        chosen = [1] if self.phases == 2 else range(self.phases)
+        cubes = [((digits == phase) << np.arange(8)).sum(axis=1) for phase in chosen]
+        return np.array([cube_euler(n)[cube] for cube in cubes for n in _CONNECTIVITIES])
+
+
+@dataclass(frozen=True)
+class Patterns:
+    """Counts (bins,) of the patterns of labels, and the rooms where they could lie."""
+
+    bins: Bins
+    counts: np.ndarray
+    rooms: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        phases: np.ndarray,
+        count: int,
+        *,
+        wraps: Sequence[bool] = (False, False, False),
+        valid: np.ndarray | None = None,
+    ) -> Patterns:
+        """Count the patterns of phases (Z, Y, X) uint8 below `count`, of those voxels that are
+        `valid`.
+        """
+        bins, blocks = Bins(count), boxes_of(phases.shape, BLOCK)
+        counts = np.zeros((len(blocks), bins.total), np.int32)
+        rooms = np.zeros((len(blocks), 3 * CHORDS + len(STRIDES) + 1), np.int64)
+        around = np.array(wraps)
+        where = np.empty((0, 0, 0), bool) if valid is None else valid
+
+        def work(n: int) -> None:
+            count_patterns(cut_out(phases, where, blocks[n], around), count, counts[n], rooms[n])
+
+        for_blocks(work, blocks)
+        return cls(bins, counts.sum(axis=0), rooms.sum(axis=0))
+
+    def __add__(self, other: Patterns) -> Patterns:
+        return Patterns(self.bins, self.counts + other.counts, self.rooms + other.rooms)
+
+    @property
+    def densities(self) -> np.ndarray:
+        """Return how many there are of each in a room of it, (bins,)."""
+        rooms = self.rooms[self.bins.rooms]
+        return np.asarray(self.counts / np.maximum(rooms, 1))
+
+
+def cut_out(phases: np.ndarray, valid: np.ndarray, box: Box, wraps: np.ndarray) -> np.ndarray:
+    """Return a box with `MARGIN` voxels around it; what is beyond an open face, or not valid, is
+    `OUTSIDE`.
+    """
+    sides = [stop - start + 2 * MARGIN for start, stop in box]
+    local = np.empty(sides, np.uint8)
+    load(phases, valid, np.array([start - MARGIN for start, _ in box]), wraps, local)
+    return local
+
+
+def for_blocks(work: Callable[[int], object], blocks: Sequence[Box]) -> None:
+    """Call `work` with the number of every block, in threads, layer by layer."""
+
+    def work_from(first: int, start: int, stop: int) -> None:
+        for n in range(first + start, first + stop):
+            work(n)
+
+    starts = [n for n, box in enumerate(blocks) if n == 0 or box[0] != blocks[n - 1][0]]
+    for first, stop in pairwise([*starts, len(blocks)]):
+        for_items(partial(work_from, first), stop - first)
+        memmap.release_pages()

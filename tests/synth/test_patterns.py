@@ -1,0 +1,293 @@
+"""Patterns of labels and the flips of single voxels, against plain counts in NumPy."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+import trabecula as tb
+from trabecula.engine.parallel import threads
+from trabecula.measure.labelling import label_components
+from trabecula.synth.shared.patterns.counts import Bins, Patterns
+from trabecula.synth.shared.patterns.flips import flip_voxels
+from trabecula.synth.shared.patterns.kernels import CHORDS, NEIGHBOURS, REACH, STRIDES
+
+UNIT = 1000.0
+SMALL = 100  # voxels of a body that stays
+
+
+def plain_chords(phases, phase, axis, wraps, valid):
+    """Chords of a phase that end inside, by their length, and the rooms for them."""
+    counts, rooms = np.zeros(CHORDS, int), np.zeros(CHORDS, int)
+    lines = np.moveaxis(np.where(valid, phases.astype(int), -1), axis, -1).reshape(
+        -1, phases.shape[axis]
+    )
+    for line in lines:
+        side = len(line)
+
+        def at(k, line=line, side=side):
+            return line[k % side] if wraps or 0 <= k < side else -1
+
+        for first in range(side):
+            ahead = [at(first + k) for k in range(CHORDS + 1)]
+            if at(first - 1) < 0 or ahead[0] < 0:
+                continue
+            inside = next((k for k, there in enumerate(ahead) if there < 0), CHORDS + 1)
+            for length in range(1, CHORDS + 1):
+                rooms[length - 1] += inside > min(length, REACH)
+            if ahead[0] != phase or at(first - 1) == phase:
+                continue
+            same = next((k for k, there in enumerate(ahead) if there != phase), CHORDS + 1)
+            if same > REACH or inside > same:
+                counts[min(same, CHORDS) - 1] += 1
+    return counts, rooms
+
+
+def plain_cubes(phases, count, stride, wraps, valid):
+    """Cubes of a stride by their code."""
+    padded = np.where(valid, phases.astype(int), -1)
+    width = [(0, stride)] * 3
+    padded = np.pad(padded, width, "wrap") if wraps else np.pad(padded, width, constant_values=-1)
+    sides = phases.shape
+    code, whole = np.zeros(sides, int), np.ones(sides, bool)
+    for n, corner in enumerate(product((0, stride), repeat=3)):
+        there = padded[tuple(slice(a, a + side) for a, side in zip(corner, sides, strict=True))]
+        code += count**n * there
+        whole &= there >= 0
+    return np.bincount(code[whole], minlength=count**8), np.count_nonzero(whole)
+
+
+def plain_neighbours(phases, count, wraps, valid):
+    """Voxels of each phase by how many faces, edges and corners they share with their like."""
+    padded = np.where(valid, phases.astype(int), -1)
+    padded = np.pad(padded, 1, "wrap") if wraps else np.pad(padded, 1, constant_values=-1)
+    sides = phases.shape
+    kinds, whole = np.zeros((4, *sides), int), valid.copy()
+    for corner in product(range(3), repeat=3):
+        there = padded[tuple(slice(a, a + side) for a, side in zip(corner, sides, strict=True))]
+        kinds[sum(a != 1 for a in corner)] += there == phases
+        whole &= there >= 0
+    code = (kinds[1] * 13 + kinds[2]) * 9 + kinds[3] + NEIGHBOURS * phases.astype(int)
+    return np.bincount(code[whole], minlength=count * NEIGHBOURS), np.count_nonzero(whole)
+
+
+@pytest.mark.parametrize("wraps", [False, True])
+@pytest.mark.parametrize(("count", "masked"), [(2, False), (2, True), (3, False)])
+def test_counts_are_those_of_plain_loops(count, masked, wraps):
+    draw = np.random.default_rng(count)
+    phases = (draw.random((22, 44, 23)) < 0.2).astype(np.uint8)
+    phases[6:14, 5:40, 4:20] = count - 1
+    phases[:, 20:, 10] = 1
+    valid = draw.random(phases.shape) < 0.97 if masked else np.ones(phases.shape, bool)
+    found = Patterns.of(phases, count, wraps=[wraps] * 3, valid=valid if masked else None)
+    bins = found.bins
+    rooms = found.rooms[bins.rooms]
+    for axis, phase in product(range(3), range(count)):
+        first = (axis * count + phase) * CHORDS
+        own, places = plain_chords(phases, phase, axis, wraps, valid)
+        np.testing.assert_array_equal(found.counts[first : first + CHORDS], own)
+        np.testing.assert_array_equal(rooms[first : first + CHORDS], places)
+    for n, stride in enumerate(STRIDES):
+        first = bins.cubes + n * bins.combinations
+        own, places = plain_cubes(phases, count, stride, wraps, valid)
+        np.testing.assert_array_equal(found.counts[first : first + bins.combinations], own)
+        assert rooms[first] == places
+    own, places = plain_neighbours(phases, count, wraps, valid)
+    np.testing.assert_array_equal(found.counts[bins.neighbours :], own)
+    assert rooms[bins.neighbours] == places
+
+
+@pytest.mark.parametrize("phase", [0, 1, 2])
+def test_euler_numbers_are_those_of_the_measure(phase):
+    phases = np.random.default_rng(5).integers(0, 3, (24, 24, 24)).astype(np.uint8)
+    bins = Bins(3)
+    counts = Patterns.of(phases, 3).counts[bins.cubes : bins.cubes + bins.combinations]
+    image = tb.Image((phases == phase).astype(np.uint8), "labels")
+    for number, connectivity in zip(bins.euler[2 * phase :], (6, 26), strict=False):
+        density = tb.measure.euler_density(image, phase=1, connectivity=connectivity)
+        assert number @ counts == pytest.approx(density * counts.sum())
+
+
+def blobs(seed, shape, *, sigma=2.0, count=2):
+    """Phases of equal share, and their votes: a smooth random field, or as many."""
+    draw = np.random.default_rng(seed)
+    rates = [np.fft.fftfreq(side) for side in shape]
+    squares = sum(np.square(r) for r in np.meshgrid(*rates, indexing="ij"))
+    low = np.exp(-2 * np.square(np.pi * sigma) * squares)
+    noise = draw.standard_normal((1 if count == 2 else count, *shape))
+    fields = np.fft.ifftn(np.fft.fftn(noise, axes=(1, 2, 3)) * low, axes=(1, 2, 3)).real
+    votes = (fields / fields.std() * UNIT * sigma).astype(np.int16)
+    phases = (votes[0] > 0) if count == 2 else votes.argmax(axis=0)
+    return phases.astype(np.uint8), votes
+
+
+def grainy(phases, seed, share=0.1):
+    """Phases some of whose voxels next to another phase took it: what votes have smoothed away."""
+    draw, made = np.random.default_rng(seed), phases.copy()
+    for axis in range(3):
+        there = np.roll(phases, 1, axis)
+        swap = (there != phases) & (draw.random(phases.shape) < share)
+        made[swap] = there[swap]
+    return made
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def smooth_and_target(request):
+    count = request.param
+    phases, votes = blobs(0, (64, 50, 72), count=count)
+    exemplar, _ = blobs(1, (60, 60, 60), count=count)
+    return phases, votes, Patterns.of(grainy(exemplar, 2), count)
+
+
+def misfit(phases, patterns, **given):
+    found = Patterns.of(phases, patterns.bins.phases, **given)
+    wanted = patterns.densities * found.rooms[patterns.bins.rooms]
+    return np.abs(found.counts - wanted).sum()
+
+
+def test_flips_bring_patterns_nearer_and_keep_fractions(smooth_and_target):
+    phases, votes, patterns = smooth_and_target
+    made, report = flip_voxels(phases, votes, patterns, seed=3, rounds=2, unit=UNIT)
+    assert misfit(made, patterns) < 0.65 * misfit(phases, patterns)
+    np.testing.assert_array_equal(np.bincount(made.ravel()), np.bincount(phases.ravel()))
+    assert report["off_after"] < 0.65 * report["off_before"]
+    assert np.count_nonzero(made != phases) <= report["changed"]
+
+
+def test_the_change_of_one_block_is_the_change_of_the_counts(monkeypatch):
+    from trabecula.synth.shared.patterns import flips
+
+    phases, votes = blobs(0, (40, 34, 38))
+    patterns = Patterns.of(grainy(phases, 1), 2)
+    told = []
+    own = flips._round
+
+    def keep(*given):
+        made, change, count = own(*given)
+        told.append((made, change))
+        return made, change, count
+
+    monkeypatch.setattr(flips, "_round", keep)
+    flip_voxels(phases, votes, patterns, seed=1, rounds=2, unit=UNIT)
+    for before, (made, change) in zip((phases, told[0][0]), told, strict=True):
+        assert np.any(made != before)
+        np.testing.assert_array_equal(
+            Patterns.of(made, 2).counts - Patterns.of(before, 2).counts, change
+        )
+
+
+def test_voxels_do_not_depend_on_threads(smooth_and_target):
+    phases, votes, patterns = smooth_and_target
+    made = []
+    for count in (1, 3):
+        with threads(count):
+            made.append(flip_voxels(phases, votes, patterns, seed=3, rounds=2, unit=UNIT)[0])
+    np.testing.assert_array_equal(*made)
+    other, _ = flip_voxels(phases, votes, patterns, seed=4, rounds=2, unit=UNIT)
+    assert np.any(other != made[0])
+
+
+def test_voxels_that_are_not_free_and_outside_stay(smooth_and_target):
+    phases, votes, patterns = smooth_and_target
+    valid = np.ones(phases.shape, bool)
+    valid[:10] = False
+    free = valid.copy()
+    free[:, :20] = False
+    made, _ = flip_voxels(
+        phases, votes, patterns, seed=3, rounds=1, unit=UNIT, free=free, valid=valid
+    )
+    np.testing.assert_array_equal(made[~free], phases[~free])
+    assert np.any(made != phases)
+    count = patterns.bins.phases
+    before, after = (np.bincount(one[free], minlength=count) for one in (phases, made))
+    np.testing.assert_array_equal(before, after)
+
+
+def test_beside_fixed_voxels_only_what_is_free_is_mended():
+    """Half of the volume is solid and fixed: the other half still comes out as the exemplar."""
+    phases, votes = blobs(0, (48, 48, 48))
+    patterns = Patterns.of(grainy(blobs(1, (60, 60, 60))[0], 2), 2)
+    phases[:, :, :24] = 1
+    free = np.ones(phases.shape, bool)
+    free[:, :, :24] = False
+    made, _ = flip_voxels(phases, votes, patterns, seed=1, rounds=2, unit=UNIT, free=free)
+    far = (slice(None), slice(None), slice(28, None))
+    assert misfit(made[far], patterns) < 0.65 * misfit(phases[far], patterns)
+
+
+def test_small_bodies_stay():
+    phases, votes = blobs(0, (60, 60, 60), sigma=4.0)
+    patterns = Patterns.of(grainy(blobs(1, (60, 60, 60))[0], 2, 0.3), 2)
+    for phase in (0, 1):
+        for at in np.argwhere(phases == phase)[::4000]:
+            phases[tuple(at)] = 1 - phase  # single voxels: some alone, some at an interface
+    made, report = flip_voxels(phases, votes, patterns, seed=1, rounds=2, unit=UNIT)
+    assert report["changed"] > 1000
+    for phase in (0, 1):
+        before, after = (label_components(one == phase, connectivity=26) for one in (phases, made))
+        small = [
+            np.isin(labels, 1 + np.flatnonzero(sizes < SMALL)) for labels, sizes in (before, after)
+        ]
+        assert small[0].any()
+        assert np.count_nonzero(small[0] != small[1]) < 5  # two blocks may meet in one
+
+
+def test_what_votes_are_sure_of_changes_least():
+    phases, votes = blobs(0, (60, 60, 60))
+    patterns = Patterns.of(grainy(blobs(1, (60, 60, 60))[0], 2, 0.2), 2)
+    flat, sure = np.zeros_like(votes), votes * 20
+    changed = [
+        np.count_nonzero(
+            flip_voxels(phases, given, patterns, seed=1, rounds=1, unit=UNIT)[0] != phases
+        )
+        for given in (flat, sure)
+    ]
+    assert changed[1] < 0.7 * changed[0]
+
+
+def test_axes_that_wrap_have_no_face():
+    """Rolled around, the same: patterns across the face count, and flips see beyond it."""
+    phases, _ = blobs(0, (40, 40, 40))
+    rolled = np.roll(phases, (7, 11, 3), (0, 1, 2))
+    around = [Patterns.of(one, 2, wraps=[True] * 3) for one in (phases, rolled)]
+    np.testing.assert_array_equal(around[0].counts, around[1].counts)
+    assert around[0].rooms[0] == phases.size
+
+
+@pytest.fixture(scope="module")
+def exemplar():
+    return tb.crop(tb.sample("bone"), 64)
+
+
+class TestTexture:
+    def test_the_default_is_nearer_than_without(self, exemplar):
+        found = {}
+        for rounds in (0, 2):
+            model = tb.method("texture", interface_rounds=rounds).fit(exemplar)
+            found[rounds] = model.generate(72, seed=2)
+        own = Patterns.of(exemplar.values, 2)
+        off = {rounds: misfit(made.values, own) for rounds, made in found.items()}
+        assert off[2] < 0.6 * off[0]
+        assert np.bincount(found[2].values.ravel())[1] == np.bincount(found[0].values.ravel())[1]
+        report = found[2].recipe.steps[-1]["report"]["patterns"]
+        assert report["off_after"] < report["off_before"]
+        assert "patterns" not in found[0].recipe.steps[-1]["report"]
+
+    def test_recipes_of_before_have_none(self, exemplar):
+        from trabecula.synth.texture.config import TextureConfig
+
+        assert TextureConfig().interface_rounds > 0
+        assert TextureConfig.recorded({})["interface_rounds"] == 0
+
+    def test_a_form_keeps_its_outside(self, exemplar):
+        at = np.indices((72, 72, 72)) - 36
+        ball = np.square(at).sum(axis=0) < 34**2
+        made = tb.method("texture").fit(exemplar).generate(72, seed=1, mask=ball)
+        assert not made.values[~ball].any()
+        share = np.count_nonzero(made.values[ball]) / np.count_nonzero(ball)
+        assert share == pytest.approx(float(np.mean(exemplar.values)), abs=1e-4)
+        assert "patterns" in made.recipe.steps[-1]["report"]
+
+    def test_a_target_is_left_to_what_follows_it(self, exemplar):
+        made = tb.method("texture").fit(exemplar).generate(64, seed=1, target={"porosity": 0.8})
+        assert "patterns" not in made.recipe.steps[-1]["report"]
