@@ -116,8 +116,8 @@ def settle_shape(
         del field
         local = LocalOffset.of(region, fractions, window, shares)
         local.shift(votes[0], steps=_STEPS, most=most)
-    upper, last = _split(votes, region, _count_of(fractions, region), struts)
-    return upper, {"joins": joins + last}
+    upper = brightest_voxels(votes[0], _count_of(fractions, region), region.free)
+    return upper, {"joins": joins + _join(upper, votes, region, struts)}
 
 
 def settle_field(
@@ -130,11 +130,13 @@ def settle_field(
     window: int,
     smooth: bool = True,
     place: Callable[[np.ndarray], dict[str, Any]] | None = None,
+    match: Callable[..., tuple[np.ndarray, dict[str, Any]]] | None = None,
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Do `settle_shape` on the field itself, where it has been held to its fractions: without
     distances, in one pass. The free voxels have the fractions' mean.
 
-    `place` brings small bodies into the votes, and returns what it did.
+    `place` brings small bodies into the votes, and returns what it did; so does `match`, which
+    changes single voxels of the upper phase.
     """
     joins, report = 0, {}
     if struts is not None:
@@ -150,7 +152,10 @@ def settle_field(
     local.shift(votes[0], steps=_STEPS, most=most)
     if place is not None:
         report["small_bodies"] = place(votes)
-    upper, last = _split(votes, region, _count_of(fractions, region, alone=True), struts)
+    upper = brightest_voxels(votes[0], _count_of(fractions, region, alone=True), region.free)
+    if match is not None:
+        upper, report["patterns"] = match(upper, votes)
+    last = _join(upper, votes, region, struts)
     return upper, {"joins": joins + last, **report}
 
 
@@ -162,18 +167,16 @@ def _softened(votes: np.ndarray, region: Region) -> np.ndarray:
     return found
 
 
-def _split(
-    votes: np.ndarray, region: Region, count: int, struts: StrutField | None
-) -> tuple[np.ndarray, int]:
-    """Return the upper phase of votes, of so many free voxels, its solid joined where it is to be
-    one component; and the number of joins.
+def _join(upper: np.ndarray, votes: np.ndarray, region: Region, struts: StrutField | None) -> int:
+    """Join the solid in place, where it is to be one component; return the number of joins. `upper`
+    is the second phase, made of votes.
     """
-    upper, joins = brightest_voxels(votes[0], count, region.free), 0
-    if struts is not None:
-        field = _signed(upper, votes)
-        joins = join_components(field, region, replace(struts, radius=_THIN))
-        for_slabs(lambda a, b: np.greater(field[0, a:b], 0, out=upper[a:b]), len(upper))
-    return upper, joins
+    if struts is None:
+        return 0
+    field = _signed(upper, votes)
+    joins = join_components(field, region, replace(struts, radius=_THIN))
+    for_slabs(lambda a, b: np.greater(field[0, a:b], 0, out=upper[a:b]), len(upper))
+    return joins
 
 
 def _rounded(votes: np.ndarray) -> np.ndarray:

@@ -79,10 +79,12 @@ from trabecula.synth.shared.own_figures import (
     figure_stages,
     tell_off,
 )
-from trabecula.synth.shared.patterns.counts import MOST_PHASES, Patterns
-from trabecula.synth.shared.patterns.flips import flip_voxels, pattern_stages
+from trabecula.synth.shared.patterns.counts import MOST_PHASES
+from trabecula.synth.shared.patterns.densities import PatternDensities
+from trabecula.synth.shared.patterns.flips import Place, flip_voxels, pattern_stages
 from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve
+from trabecula.synth.shared.slabs import make_by_slabs
 from trabecula.synth.shared.small_bodies import body_stages, learn_small_bodies, settle_phases
 from trabecula.synth.shared.stages import bound_stages, usage_bytes, value_stages
 from trabecula.synth.shared.statistics.density_slopes import (
@@ -127,6 +129,7 @@ from trabecula.synth.texture.scan_phases import ScanPhases, find_phases
 # of the windows that tell dense places from sparse ones: structure lengths, voxels at least, and
 # so many of them along the exemplar's shortest side
 _WINDOW, _NARROWEST, _WINDOWS = 2, 8, 6
+_PARTS = 4  # windows along it whose patterns tell how these change with density
 _LEAST_LEFT = 1e-6  # of a phase
 _FINE = 2.0  # voxels of the structure's length below which a graded result is not smoothed
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
@@ -476,42 +479,48 @@ class TextureModel(Model):
         return values, report
 
     def _matches_patterns(self, request: Request) -> bool:
-        """Return whether single voxels of new material change phase in the end: not where it is to
-        differ from the exemplar.
+        """Return whether single voxels of new material change phase in the end; of three phases not
+        where these are to differ from the exemplar's.
         """
-        few = isinstance(self.content, Labels) and len(self.content.present) <= MOST_PHASES
-        return few and self.config.interface_rounds > 0 and not request.target
+        most = 2 if request.target else MOST_PHASES
+        few = isinstance(self.content, Labels) and len(self.content.present) <= most
+        return few and self.config.interface_rounds > 0
 
     @cached_property
-    def _patterns(self) -> Patterns:
-        """Count the patterns of the exemplars."""
+    def _patterns(self) -> PatternDensities:
+        """Measure the patterns of the exemplars."""
         assert isinstance(self.content, Labels)
         present = self.content.present
-        found = [
-            Patterns.of(phases_of(one.values, present), len(present)) for one in self.exemplars
-        ]
-        return sum(found[1:], found[0])
+        phases = [phases_of(one.values, present) for one in self.exemplars]
+        shortest = min(min(one.shape) for one in phases)
+        width = max(self._window(0), shortest // _PARTS)
+        return PatternDensities.of(phases, len(present), width)
 
     def _match_patterns(
-        self, values: np.ndarray, votes: np.ndarray, request: Request
+        self,
+        values: np.ndarray,
+        votes: np.ndarray,
+        request: Request,
+        fractions: np.ndarray | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Return labels whose patterns are the exemplar's, and a report."""
+        """Return labels whose patterns are the exemplar's, or those of its places of such
+        fractions, and a report.
+        """
         assert isinstance(self.content, Labels)
-        present, free = self.content.present, free_voxels(request)
+        present = self.content.present
+        if request.target and fractions is None:
+            fractions = np.empty(1)  # one for all
         phases, report = flip_voxels(
             phases_of(values, present),
             votes,
             self._patterns,
+            Place(request.periodic, free_voxels(request), request.mask, fractions),
             seed=request.seed,
             rounds=self.config.interface_rounds,
             unit=FULL / self.config.clip * UNIT,
-            wraps=request.periodic,
-            free=free,
-            valid=request.mask,
         )
-        return complete(
-            labels_of_phases(phases, present), request, empty=self.content.empty
-        ), report
+        labels = labels_of_phases(phases, present)
+        return complete(labels, request, empty=self.content.empty), report
 
     def _make_turned(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
         """Make material that follows an orientation or a size, from turned and scaled copies."""
@@ -671,10 +680,23 @@ class TextureModel(Model):
         )
         if new:
             place = partial(self._settle_bodies, request=average_target(request, free=True))
-            upper, report = settle(place=place)
+            match = self._match_upper if self._matches_patterns(request) else None
+            if match is not None:
+                match = partial(match, request=request, fractions=fractions)
+            upper, report = settle(place=place, match=match)
         else:
             upper, report = settle()
         return self.content.from_upper(upper, request), report
+
+    def _match_upper(
+        self, upper: np.ndarray, votes: np.ndarray, request: Request, fractions: np.ndarray
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Do `_match_patterns` where the second phase is marked, (Z, Y, X) bool."""
+        assert isinstance(self.content, Labels)
+        values = self.content.from_upper(upper, request)
+        values, report = self._match_patterns(values, votes, request, fractions)
+        second = self.content.present[1]
+        return make_by_slabs(lambda a, b: values[a:b] == second, values.shape, bool), report
 
     def _settle_bodies(self, votes: np.ndarray, request: Request) -> dict[str, Any]:
         """Bring small bodies to their numbers, in votes (C, Z, Y, X); return what was done."""

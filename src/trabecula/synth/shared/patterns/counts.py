@@ -18,6 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
+from threading import Lock
 
 import numpy as np
 
@@ -39,6 +40,8 @@ BLOCK = 40
 
 MOST_PHASES = 3
 """Cubes of more phases have too many combinations for an exemplar to tell their densities."""
+
+ROOMS = 3 * CHORDS + len(STRIDES) + 1
 
 _CONNECTIVITIES = (6, 26)
 
@@ -113,17 +116,36 @@ class Patterns:
         """Count the patterns of phases (Z, Y, X) uint8 below `count`, of those voxels that are
         `valid`.
         """
-        bins, blocks = Bins(count), boxes_of(phases.shape, BLOCK)
-        counts = np.zeros((len(blocks), bins.total), np.int32)
-        rooms = np.zeros((len(blocks), 3 * CHORDS + len(STRIDES) + 1), np.int64)
-        around = np.array(wraps)
+        blocks = boxes_of(phases.shape, BLOCK)
+        one = np.zeros(len(blocks), np.int64)
+        return cls.by_kind(phases, count, blocks, one, wraps=wraps, valid=valid)[0]
+
+    @classmethod
+    def by_kind(
+        cls,
+        phases: np.ndarray,
+        count: int,
+        blocks: Sequence[Box],
+        kinds: np.ndarray,
+        *,
+        wraps: Sequence[bool] = (False, False, False),
+        valid: np.ndarray | None = None,
+    ) -> list[Patterns]:
+        """Count those of blocks of each kind, which `kinds` number from 0."""
+        bins, lock, around = Bins(count), Lock(), np.array(wraps)
+        counts = np.zeros((int(kinds.max()) + 1, bins.total), np.int64)
+        rooms = np.zeros((len(counts), ROOMS), np.int64)
         where = np.empty((0, 0, 0), bool) if valid is None else valid
 
         def work(n: int) -> None:
-            count_patterns(cut_out(phases, where, blocks[n], around), count, counts[n], rooms[n])
+            own, places = np.zeros(bins.total, np.int64), np.zeros(ROOMS, np.int64)
+            count_patterns(cut_out(phases, where, blocks[n], around), count, own, places)
+            with lock:
+                counts[kinds[n]] += own
+                rooms[kinds[n]] += places
 
         for_blocks(work, blocks)
-        return cls(bins, counts.sum(axis=0), rooms.sum(axis=0))
+        return [cls(bins, *both) for both in zip(counts, rooms, strict=True)]
 
     def __add__(self, other: Patterns) -> Patterns:
         return Patterns(self.bins, self.counts + other.counts, self.rooms + other.rooms)

@@ -8,6 +8,9 @@ chords, cubes and neighbours (`counts`) and the Euler numbers nearer to the exem
 Torquato (1998, doi:10.1103/PhysRevE.57.495) exchange voxels for the two-point function. What the
 votes are sure of changes at a price, and small bodies, which were counted before, stay as they are.
 
+Where a target varies, blocks of like targets are mended together, towards the densities that places
+of the exemplar have whose fraction is theirs (`densities`).
+
 The misfit is shared among blocks by their volume: each mends its share of it, and reads its
 surroundings as they were before the round. So they are worked on at once, and the voxels do not
 depend on the number of threads.
@@ -17,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -24,59 +28,38 @@ import numpy as np
 from trabecula.core.progress import track
 from trabecula.core.seeds import key
 from trabecula.engine import memmap
-from trabecula.engine.chunking import boxes_of, slices_of
+from trabecula.engine.chunking import Box, boxes_of, slices_of
 from trabecula.engine.memory import Array, Stage
 from trabecula.engine.parallel import thread_count
-from trabecula.synth.shared.patterns.counts import BLOCK, Patterns, cut_out, for_blocks
+from trabecula.synth.shared.patterns.counts import BLOCK, Bins, Patterns, cut_out, for_blocks
+from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.kernels import MARGIN, flip_block
-from trabecula.synth.shared.slabs import count_true, tally_by_slabs
+from trabecula.synth.shared.slabs import tally_by_slabs
 
 _NEIGHBOURS = 0.3  # weight of their misfit beside that of chords and cubes
 _EULER = 20.0  # of that of Euler numbers
 _EFFORT = 0.5  # of a voxel that the votes put a voxel away from the interface
+_BANDS, _BLOCKS = 6, 8  # bands of a target that varies, at most, and blocks of each, at least
 _EVERYWHERE = np.empty((0, 0, 0), bool)
 _VOTES = 1 << 15
 _LOCAL = 15  # bytes of a voxel of a local array
 
 
 @dataclass
-class _Misfit:
-    """What is missing of patterns and Euler numbers, of how many."""
+class _Band:
+    """Blocks that are mended together: how many patterns they are to have, and what is off."""
 
-    patterns: Patterns  # of the exemplars
+    bins: Bins
+    size: int  # free voxels
     target: np.ndarray
     off: np.ndarray
-
-    @classmethod
-    def of(
-        cls,
-        phases: np.ndarray,
-        patterns: Patterns,
-        wraps: Sequence[bool],
-        free: np.ndarray | None,
-        valid: np.ndarray | None,
-    ) -> _Misfit:
-        """Measure it; patterns of voxels that may not change are what they are."""
-        bins = patterns.bins
-        found = Patterns.of(phases, bins.phases, wraps=wraps, valid=valid)
-        target = patterns.densities * found.rooms[bins.rooms]
-        if free is not None:
-            known = ~free if valid is None else valid & ~free
-            held = Patterns.of(phases, bins.phases, wraps=wraps, valid=known)
-            target += held.counts - patterns.densities * held.rooms[bins.rooms]
-        return cls(patterns, target, found.counts - target)
-
-    @property
-    def share(self) -> float:
-        """Return all that is off over all that there is."""
-        return round(float(np.abs(self.off).sum() / max(np.abs(self.target).sum(), 1)), 4)
 
     def of_block(self, share: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the slopes of the energy with a share of the misfit, and the misfit and weights of
         Euler numbers.
         """
-        bins = self.patterns.bins
-        weights = 1 / (np.maximum(self.target, 0) * share + 1)
+        bins = self.bins
+        weights = 1 / (self.target * share + 1)
         weights[bins.neighbours :] *= _NEIGHBOURS
         slopes = np.stack([2 * share * self.off * weights, weights], axis=1)
         cubes = slice(bins.cubes, bins.cubes + bins.combinations)
@@ -89,22 +72,50 @@ class _Misfit:
         )
 
 
+@dataclass(frozen=True)
+class Place:
+    """Where voxels may change.
+
+    Attributes
+    ----------
+    wraps : three bools
+        Axes that continue at the opposite face.
+    free : (Z, Y, X) bool, optional
+        Voxels that may change.
+    valid : (Z, Y, X) bool, optional
+        Voxels of the material: the others belong to no pattern.
+    fractions : (Z, Y, X) float32, optional
+        Of the second of two phases, as a target has them; one voxel stands for all.
+    """
+
+    wraps: Sequence[bool] = (False, False, False)
+    free: np.ndarray | None = None
+    valid: np.ndarray | None = None
+    fractions: np.ndarray | None = None
+
+    @property
+    def fixed(self) -> np.ndarray | None:
+        """Return the voxels of the material that may not change; None where all may."""
+        if self.free is None:
+            return None
+        return ~self.free if self.valid is None else self.valid & ~self.free
+
+
 def flip_voxels(
     phases: np.ndarray,
     votes: np.ndarray,
-    patterns: Patterns,
+    patterns: PatternDensities,
+    place: Place,
     *,
     seed: int,
     rounds: int,
     unit: float,
-    wraps: Sequence[bool] = (False, False, False),
-    free: np.ndarray | None = None,
-    valid: np.ndarray | None = None,
 ) -> tuple[np.ndarray, dict[str, Any]]:
-    """Return phases with the exemplar's patterns, and a report: the voxels that changed, and the
-    share of all patterns that were off before and are off after.
+    """Return phases with the exemplar's patterns, and a report: the voxels that changed, the share
+    of all patterns that were off before and are off after, and the share of voxels that are left
+    alone, since the exemplar has no place of their fraction.
 
-    Every phase keeps its number of voxels.
+    Every phase keeps its number of voxels, in every block.
 
     Parameters
     ----------
@@ -112,66 +123,135 @@ def flip_voxels(
         Counted from 0.
     votes : (C, Z, Y, X) int16
         Signed distances that they were made of, of every phase, or of the second of two.
-    patterns : Patterns
+    patterns : PatternDensities
         Of the exemplars.
+    place : Place
     seed : int
         Of the request.
     rounds : int
         Over all voxels of interfaces.
     unit : float
         Of the votes in a voxel.
-    wraps : three bools
-        Axes that continue at the opposite face.
-    free : (Z, Y, X) bool, optional
-        Voxels that may change.
-    valid : (Z, Y, X) bool, optional
-        Voxels of the material: the others belong to no pattern.
     """
-    misfit = _Misfit.of(phases, patterns, wraps, free, valid)
-    level = _level(votes[0], phases, free) if len(votes) == 1 else 0.0
-    report, changed = {"off_before": misfit.share}, 0
+    blocks = boxes_of(phases.shape, BLOCK)
+    bands, of_blocks, left = _bands(phases, patterns, place, blocks)
+    level = _level(votes[0], phases, place.free) if len(votes) == 1 else 0.0
+    before, changed = _share_off(bands), 0
     for number in track(range(rounds), "matching patterns"):
-        stage = key(seed, f"patterns/{number}")
-        given = votes, level, unit, stage
-        phases, change, count = _round(phases, misfit, given, np.array(wraps), free, valid)
-        misfit.off = misfit.off + change
+        given = votes, level, unit, key(seed, f"patterns/{number}")
+        phases, count = _round(phases, bands, given, place, blocks, of_blocks)
         changed += count
-    return phases, {"changed": changed, **report, "off_after": misfit.share}
+    report = {"changed": changed, "off_before": before, "off_after": _share_off(bands)}
+    return phases, {**report, "left": left} if left else report
+
+
+def _bands(
+    phases: np.ndarray, patterns: PatternDensities, place: Place, blocks: Sequence[Box]
+) -> tuple[list[_Band | None], np.ndarray, float]:
+    """Return the bands of equal target, None where the exemplar knows no such place; the band of
+    every block, and the share of free voxels in those that are left.
+    """
+    wanted, sizes, solid = (np.zeros(len(blocks)) for _ in range(3))
+    free, fractions = place.free, place.fractions
+
+    def work(n: int) -> None:
+        inside = slices_of(blocks[n])
+        where = True if free is None else free[inside]
+        sizes[n] = phases[inside].size if free is None else np.count_nonzero(where)
+        solid[n] = np.count_nonzero((phases[inside] == 1) & where)
+        if fractions is not None and fractions.size > 1 and sizes[n]:
+            wanted[n] = fractions[inside].mean(dtype=np.float64, where=where)
+
+    for_blocks(work, blocks)
+    at = np.flatnonzero(sizes)
+    count = max(1, min(_BANDS, len(at) // _BLOCKS)) if np.ptp(wanted[at]) else 1
+    of_blocks = np.zeros(len(blocks), np.int64)
+    of_blocks[at[np.argsort(wanted[at], kind="stable")]] = np.arange(len(at)) * count // len(at)
+    bins = patterns.bins
+    found: list[_Band | None] = []
+    given = (bins.phases, blocks, of_blocks)
+    made = Patterns.by_kind(phases, *given, wraps=place.wraps, valid=place.valid)
+    fixed = place.fixed
+    held = made
+    if fixed is not None:
+        held = Patterns.by_kind(phases, *given, wraps=place.wraps, valid=fixed)
+    left = 0.0
+    for band, (there, known) in enumerate(zip(made, held, strict=True)):
+        own = of_blocks == band
+        size, upper = sizes[own].sum(), solid[own].sum()
+        densities = patterns.own if fractions is None else patterns.at(upper / max(size, 1))
+        if densities is None:
+            left += size / sizes.sum()
+            found.append(None)
+            continue
+        rooms = there.rooms if fixed is None else there.rooms - known.rooms
+        target = densities * rooms[bins.rooms]
+        if fixed is not None:
+            target += known.counts
+        found.append(_Band(bins, int(size), target, there.counts - target))
+    return found, of_blocks, round(left, 4)
+
+
+def _share_off(bands: Sequence[_Band | None]) -> float:
+    """Return all that is off over all that there is to be."""
+    some = [band for band in bands if band is not None]
+    off = sum(float(np.abs(band.off).sum()) for band in some)
+    return round(off / max(sum(float(band.target.sum()) for band in some), 1), 4)
 
 
 def _round(
     phases: np.ndarray,
-    misfit: _Misfit,
+    bands: Sequence[_Band | None],
     given: tuple[np.ndarray, float, float, np.uint64],
-    wraps: np.ndarray,
-    free: np.ndarray | None,
-    valid: np.ndarray | None,
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return phases after one round, the change of their counts, and how many voxels changed."""
-    blocks, bins = boxes_of(phases.shape, BLOCK), misfit.patterns.bins
-    made = memmap.empty(phases.shape, np.uint8)
-    size = phases.size if free is None else count_true(free)
-    changes = np.zeros((len(blocks), bins.total), np.int32)
+    place: Place,
+    blocks: Sequence[Box],
+    of_blocks: np.ndarray,
+) -> tuple[np.ndarray, int]:
+    """Return phases after one round, and how many voxels changed; bands follow."""
+    made, lock, wraps = memmap.empty(phases.shape, np.uint8), Lock(), np.array(place.wraps)
+    changes = [None if band is None else np.zeros(len(band.off), np.int64) for band in bands]
     counts = np.zeros(len(blocks), np.int64)
+    free, valid = place.free, place.valid
     moving = _EVERYWHERE if free is None else free
     votes, level, unit, stage = given
 
     def work(n: int) -> None:
         box, inside = blocks[n], slices_of(blocks[n])
-        local = cut_out(phases, _EVERYWHERE if valid is None else valid, box, wraps)
+        band, change = bands[of_blocks[n]], changes[of_blocks[n]]
         voxels = made[inside].size if free is None else np.count_nonzero(free[inside])
-        if voxels:
-            counts[n] = flip_block(
-                *(local, bins.phases, moving, np.array([first for first, _ in box])),
-                *(votes, level, unit, stage, n),
-                *misfit.of_block(voxels / size),
-                *(_EFFORT, changes[n]),
-            )
+        if band is None or change is None or not voxels:
+            made[inside] = phases[inside]
+            return
+        local = cut_out(phases, _EVERYWHERE if valid is None else valid, box, wraps)
+        own = np.zeros(len(change), np.int64)
+        slopes, euler, euler_off, euler_weights = band.of_block(voxels / band.size)
+        counts[n] = flip_block(
+            local,
+            band.bins.phases,
+            moving,
+            np.array([first for first, _ in box]),
+            votes,
+            level,
+            unit,
+            stage,
+            n,
+            slopes,
+            euler,
+            euler_off,
+            euler_weights,
+            _EFFORT,
+            own,
+        )
         core = local[tuple(slice(MARGIN, side - MARGIN) for side in local.shape)]
         made[inside] = core if valid is None else np.where(valid[inside], core, phases[inside])
+        with lock:
+            change += own
 
     for_blocks(work, blocks)
-    return made, changes.sum(axis=0), int(counts.sum())
+    for band, change in zip(bands, changes, strict=True):
+        if band is not None and change is not None:
+            band.off = band.off + change
+    return made, int(counts.sum())
 
 
 def _level(votes: np.ndarray, phases: np.ndarray, free: np.ndarray | None) -> float:

@@ -1,0 +1,66 @@
+"""Densities of patterns, and how they change with the local fraction: those of denser and sparser
+places of the exemplar.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+
+import numpy as np
+
+from trabecula.engine.chunking import boxes_of, slices_of
+from trabecula.synth.shared.patterns.counts import Bins, Patterns
+
+_BEYOND = 1.25
+"""How far a fraction may be from the exemplar's, over the farthest that windows of it are."""
+
+_NEAREST = 0.01
+"""Of a fraction that any exemplar has."""
+
+
+@dataclass(frozen=True)
+class PatternDensities:
+    """Densities (bins,) of the exemplars, and by how much they rise with the fraction of the second
+    phase; `below` and `above` the exemplars' `fraction` they are known.
+    """
+
+    bins: Bins
+    own: np.ndarray
+    slopes: np.ndarray
+    fraction: float
+    below: float
+    above: float
+
+    @classmethod
+    def of(cls, exemplars: Sequence[np.ndarray], count: int, width: int) -> PatternDensities:
+        """Measure windows of exemplars, phases (Z, Y, X) uint8 below `count`."""
+        windows, fractions = [], []
+        for phases in exemplars:
+            boxes = boxes_of(phases.shape, width)
+            windows += Patterns.by_kind(phases, count, boxes, np.arange(len(boxes)))
+            fractions += [float(np.mean(phases[slices_of(box)] == 1)) for box in boxes]
+        whole = reduce(add, windows)
+        sizes = np.array([window.rooms[-1] for window in windows], float)
+        mean = float(np.average(fractions, weights=sizes))
+        far = np.array(fractions) - mean
+        own, bins = whole.densities, whole.bins
+        slopes = np.zeros(bins.total)
+        for window, apart in zip(windows, far, strict=True):
+            slopes += apart * (window.counts - own * window.rooms[bins.rooms])
+        rooms = sum(
+            np.square(apart) * window.rooms for window, apart in zip(windows, far, strict=True)
+        )
+        slopes /= np.maximum(rooms[bins.rooms], 1e-9)
+        return cls(bins, own, slopes, mean, float(-far.min()), float(far.max()))
+
+    def at(self, fraction: float) -> np.ndarray | None:
+        """Return the densities of places with a fraction of the second phase; None where the
+        exemplar tells nothing about them.
+        """
+        more = fraction - self.fraction
+        if not -max(_BEYOND * self.below, _NEAREST) <= more <= max(_BEYOND * self.above, _NEAREST):
+            return None
+        return np.asarray(np.maximum(self.own + more * self.slopes, 0))
