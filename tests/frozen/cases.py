@@ -300,7 +300,7 @@ def _texture_grey_fixed() -> tb.Image:
 
 
 @case("texture-beside")
-def _texture_beside(**settings: str) -> tb.Image:
+def _texture_beside(**settings: Any) -> tb.Image:
     shape = (48, 32, 33)
     known = np.zeros(shape, bool)
     known[:24] = True
@@ -359,6 +359,12 @@ def _fibres() -> tb.Image:
     return learned.generate((40, 36, 28), seed=1, periodic=(True, False, False))
 
 
+@case("texture-without-flips")
+def _texture_without_flips() -> tb.Image:
+    """Make what the default of before made, in which single voxels did not flip."""
+    return tb.method("texture", interface_rounds=0).fit(bone(24)).generate(SHAPE, seed=6)
+
+
 @case("texture-by-leaves")
 def _texture_by_leaves() -> tb.Image:
     return tb.method("texture", search="leaves").fit(bone(24)).generate(SHAPE, seed=6)
@@ -367,20 +373,21 @@ def _texture_by_leaves() -> tb.Image:
 @case("texture-sliced-layout")
 def _texture_sliced_layout() -> tb.Image:
     """Make what the default of before, which was laid out by sliced rounds, made."""
-    return tb.method("texture", layout="structure").fit(bone(24)).generate(SHAPE, seed=6)
+    settings = {"layout": "structure", "interface_rounds": 0}
+    return tb.method("texture", **settings).fit(bone(24)).generate(SHAPE, seed=6)
 
 
 @case("texture-plain-votes")
 def _texture_plain_votes() -> tb.Image:
     """Make what a default of before that, whose votes were plain means of distances, made."""
-    settings = {"layout": "structure", "vote_power": 1.0}
+    settings = {"layout": "structure", "vote_power": 1.0, "interface_rounds": 0}
     return tb.method("texture", **settings).fit(bone(24)).generate(SHAPE, seed=6)
 
 
 @case("texture-sliced-beside")
 def _texture_beside_sliced() -> tb.Image:
     """Make what the default of before made beside known voxels."""
-    return _texture_beside(layout="structure")
+    return _texture_beside(layout="structure", interface_rounds=0)
 
 
 @case("texture-energy")
