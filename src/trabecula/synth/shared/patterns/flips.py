@@ -39,6 +39,7 @@ from trabecula.synth.shared.slabs import tally_by_slabs
 _NEIGHBOURS = 0.3  # weight of their misfit beside that of chords and cubes
 _EULER = 20.0  # of that of Euler numbers
 _EFFORT = 0.5  # of a voxel that the votes put a voxel away from the interface
+_CELL = 10  # voxels a side of what keeps its fraction where the target varies
 _BANDS, _BLOCKS = 6, 8  # bands of a target that varies, at most, and blocks of each, at least
 _EVERYWHERE = np.empty((0, 0, 0), bool)
 _VOTES = 1 << 15
@@ -115,7 +116,8 @@ def flip_voxels(
     of all patterns that were off before and are off after, and the share of voxels that are left
     alone, since the exemplar has no place of their fraction.
 
-    Every phase keeps its number of voxels, in every block.
+    Every phase keeps its number of voxels, in every block, and in smaller cells where the target
+    varies.
 
     Parameters
     ----------
@@ -214,6 +216,8 @@ def _round(
     free, valid = place.free, place.valid
     moving = _EVERYWHERE if free is None else free
     votes, level, unit, stage = given
+    varies = place.fractions is not None and place.fractions.size > 1
+    cell = _CELL if varies else BLOCK
 
     def work(n: int) -> None:
         box, inside = blocks[n], slices_of(blocks[n])
@@ -240,6 +244,7 @@ def _round(
             euler_off,
             euler_weights,
             _EFFORT,
+            cell,
             own,
         )
         core = local[tuple(slice(MARGIN, side - MARGIN) for side in local.shape)]

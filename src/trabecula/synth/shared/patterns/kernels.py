@@ -186,10 +186,12 @@ def flip_block(
     euler_misfit,
     euler_weights,
     effort,
+    cell,
     change,
 ):
     """Change voxels of the block where that brings patterns nearer to their target, each once, in
-    random order, as many to every phase as from it. Return how many.
+    random order, in cells of so many voxels a side as many to every phase as from it. Return how
+    many.
 
     `slopes` (bins, 2) hold twice the misfit times its weight, and the weight, of the block's share,
     as what follows does of Euler numbers. They and the local array follow, and `change` (bins,) of
@@ -204,7 +206,10 @@ def flip_block(
     stack, steps = np.empty(_SMALL, np.int64), _steps(local)
     bins, by = np.empty(_MOST_BINS, np.int64), np.empty(_MOST_BINS, np.int64)
     grid = np.empty(27, np.int64)
-    more, loops = np.zeros(phases, np.int64), np.zeros(len(euler), np.float64)
+    loops = np.zeros(len(euler), np.float64)
+    sides = (local.shape[1] - 2 * MARGIN) // cell + 1, (local.shape[2] - 2 * MARGIN) // cell + 1
+    cells = ((local.shape[0] - 2 * MARGIN) // cell + 1) * sides[0] * sides[1]
+    gained = np.zeros((cells, phases), np.int64)
     done, was = np.empty(len(spots), np.int64), np.empty(len(spots), np.uint8)
     now, height, width = 0, local.shape[1], local.shape[2]
     cubes = 3 * phases * CHORDS
@@ -220,6 +225,7 @@ def flip_block(
         if new == OUTSIDE:
             continue
         count = _changes(local, codes, z, y, x, new, phases, powers, grid, bins, by)
+        more = gained[_cell(z, y, x, cell, sides)]
         energy = 2.0 * _HELD * (more[new] - more[own] + 1)
         energy += effort * _depth(votes[:, at_z, at_y, at_x], own, new, level) / unit
         loops[:] = 0
@@ -254,7 +260,7 @@ def flip_block(
     for n in range(now - 1, -1, -1):
         spot = done[n]
         z, y, x = spot // (height * width), spot // width % height, spot % width
-        own, old = local[z, y, x], was[n]
+        own, old, more = local[z, y, x], was[n], gained[_cell(z, y, x, cell, sides)]
         if more[own] <= 0:
             continue
         count = _changes(local, codes, z, y, x, old, phases, powers, grid, bins, by)
@@ -265,6 +271,13 @@ def flip_block(
         more[old] += 1
         now -= 1
     return now
+
+
+@inline
+def _cell(z, y, x, cell, sides):
+    """Return the number of the cell of a voxel of the block."""
+    place = (z - MARGIN) // cell, (y - MARGIN) // cell, (x - MARGIN) // cell
+    return (place[0] * sides[0] + place[1]) * sides[1] + place[2]
 
 
 @inline
