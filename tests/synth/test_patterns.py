@@ -10,7 +10,7 @@ from trabecula.engine.parallel import threads
 from trabecula.measure.labelling import label_components
 from trabecula.synth.shared.patterns.counts import Bins, Patterns
 from trabecula.synth.shared.patterns.densities import PatternDensities
-from trabecula.synth.shared.patterns.flips import Place, flip_voxels
+from trabecula.synth.shared.patterns.flips import FlipRegion, flip_voxels
 from trabecula.synth.shared.patterns.kernels import CHORDS, NEIGHBOURS, REACH, STRIDES
 
 UNIT = 1000.0
@@ -152,7 +152,7 @@ def misfit(phases, patterns, **given):
 
 def test_flips_bring_patterns_nearer_and_keep_fractions(smooth_and_target):
     phases, votes, patterns = smooth_and_target
-    made, report = flip_voxels(phases, votes, patterns, Place(), seed=3, rounds=2, unit=UNIT)
+    made, report = flip_voxels(phases, votes, patterns, FlipRegion(), seed=3, rounds=2, unit=UNIT)
     assert misfit(made, patterns) < 0.65 * misfit(phases, patterns)
     np.testing.assert_array_equal(np.bincount(made.ravel()), np.bincount(phases.ravel()))
     assert report["off_after"] < 0.65 * report["off_before"]
@@ -174,7 +174,7 @@ def test_the_change_of_one_block_is_the_change_of_the_counts(monkeypatch):
         return made, count
 
     monkeypatch.setattr(flips, "_round", keep)
-    flip_voxels(phases, votes, patterns, Place(), seed=1, rounds=2, unit=UNIT)
+    flip_voxels(phases, votes, patterns, FlipRegion(), seed=1, rounds=2, unit=UNIT)
     for before, (made, change) in zip((phases, told[0][0]), told, strict=True):
         assert np.any(made != before)
         np.testing.assert_allclose(
@@ -188,10 +188,10 @@ def test_voxels_do_not_depend_on_threads(smooth_and_target):
     for count in (1, 3):
         with threads(count):
             made.append(
-                flip_voxels(phases, votes, patterns, Place(), seed=3, rounds=2, unit=UNIT)[0]
+                flip_voxels(phases, votes, patterns, FlipRegion(), seed=3, rounds=2, unit=UNIT)[0]
             )
     np.testing.assert_array_equal(*made)
-    other, _ = flip_voxels(phases, votes, patterns, Place(), seed=4, rounds=2, unit=UNIT)
+    other, _ = flip_voxels(phases, votes, patterns, FlipRegion(), seed=4, rounds=2, unit=UNIT)
     assert np.any(other != made[0])
 
 
@@ -202,7 +202,7 @@ def test_voxels_that_are_not_free_and_outside_stay(smooth_and_target):
     free = valid.copy()
     free[:, :20] = False
     made, _ = flip_voxels(
-        phases, votes, patterns, Place(free=free, valid=valid), seed=3, rounds=1, unit=UNIT
+        phases, votes, patterns, FlipRegion(free=free, valid=valid), seed=3, rounds=1, unit=UNIT
     )
     np.testing.assert_array_equal(made[~free], phases[~free])
     assert np.any(made != phases)
@@ -218,7 +218,9 @@ def test_beside_fixed_voxels_only_what_is_free_is_mended():
     phases[:, :, :24] = 1
     free = np.ones(phases.shape, bool)
     free[:, :, :24] = False
-    made, _ = flip_voxels(phases, votes, patterns, Place(free=free), seed=1, rounds=2, unit=UNIT)
+    made, _ = flip_voxels(
+        phases, votes, patterns, FlipRegion(free=free), seed=1, rounds=2, unit=UNIT
+    )
     far = (slice(None), slice(None), slice(28, None))
     assert misfit(made[far], patterns) < 0.65 * misfit(phases[far], patterns)
 
@@ -229,7 +231,7 @@ def test_small_bodies_stay():
     for phase in (0, 1):
         for at in np.argwhere(phases == phase)[::4000]:
             phases[tuple(at)] = 1 - phase  # single voxels: some alone, some at an interface
-    made, report = flip_voxels(phases, votes, patterns, Place(), seed=1, rounds=2, unit=UNIT)
+    made, report = flip_voxels(phases, votes, patterns, FlipRegion(), seed=1, rounds=2, unit=UNIT)
     assert report["changed"] > 1000
     for phase in (0, 1):
         before, after = (label_components(one == phase, connectivity=26) for one in (phases, made))
@@ -246,7 +248,8 @@ def test_what_votes_are_sure_of_changes_least():
     flat, sure = np.zeros_like(votes), votes * 20
     changed = [
         np.count_nonzero(
-            flip_voxels(phases, given, patterns, Place(), seed=1, rounds=1, unit=UNIT)[0] != phases
+            flip_voxels(phases, given, patterns, FlipRegion(), seed=1, rounds=1, unit=UNIT)[0]
+            != phases
         )
         for given in (flat, sure)
     ]

@@ -81,7 +81,7 @@ from trabecula.synth.shared.own_figures import (
 )
 from trabecula.synth.shared.patterns.counts import MOST_PHASES
 from trabecula.synth.shared.patterns.densities import PatternDensities
-from trabecula.synth.shared.patterns.flips import Place, flip_voxels, pattern_stages
+from trabecula.synth.shared.patterns.flips import FlipRegion, flip_voxels, pattern_stages
 from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve
 from trabecula.synth.shared.slabs import make_by_slabs
@@ -514,7 +514,7 @@ class TextureModel(Model):
             phases_of(values, present),
             votes,
             self._patterns,
-            Place(request.periodic, free_voxels(request), request.mask, fractions),
+            FlipRegion(request.periodic, free_voxels(request), request.mask, fractions),
             seed=request.seed,
             rounds=self.config.interface_rounds,
             unit=FULL / self.config.clip * UNIT,

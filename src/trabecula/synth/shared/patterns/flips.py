@@ -47,7 +47,7 @@ _LOCAL = 15  # bytes of a voxel of a local array
 
 
 @dataclass
-class _Band:
+class _MendedBand:
     """Blocks that are mended together: how many patterns they are to have, and what is off."""
 
     bins: Bins
@@ -74,7 +74,7 @@ class _Band:
 
 
 @dataclass(frozen=True)
-class Place:
+class FlipRegion:
     """Where voxels may change.
 
     Attributes
@@ -106,7 +106,7 @@ def flip_voxels(
     phases: np.ndarray,
     votes: np.ndarray,
     patterns: PatternDensities,
-    place: Place,
+    place: FlipRegion,
     *,
     seed: int,
     rounds: int,
@@ -127,7 +127,7 @@ def flip_voxels(
         Signed distances that they were made of, of every phase, or of the second of two.
     patterns : PatternDensities
         Of the exemplars.
-    place : Place
+    place : FlipRegion
     seed : int
         Of the request.
     rounds : int
@@ -148,8 +148,8 @@ def flip_voxels(
 
 
 def _bands(
-    phases: np.ndarray, patterns: PatternDensities, place: Place, blocks: Sequence[Box]
-) -> tuple[list[_Band | None], np.ndarray, float]:
+    phases: np.ndarray, patterns: PatternDensities, place: FlipRegion, blocks: Sequence[Box]
+) -> tuple[list[_MendedBand | None], np.ndarray, float]:
     """Return the bands of equal target, None where the exemplar knows no such place; the band of
     every block, and the share of free voxels in those that are left.
     """
@@ -170,7 +170,7 @@ def _bands(
     of_blocks = np.zeros(len(blocks), np.int64)
     of_blocks[at[np.argsort(wanted[at], kind="stable")]] = np.arange(len(at)) * count // len(at)
     bins = patterns.bins
-    found: list[_Band | None] = []
+    found: list[_MendedBand | None] = []
     given = (bins.phases, blocks, of_blocks)
     made = Patterns.by_kind(phases, *given, wraps=place.wraps, valid=place.valid)
     fixed = place.fixed
@@ -190,11 +190,11 @@ def _bands(
         target = densities * rooms[bins.rooms]
         if fixed is not None:
             target += known.counts
-        found.append(_Band(bins, int(size), target, there.counts - target))
+        found.append(_MendedBand(bins, int(size), target, there.counts - target))
     return found, of_blocks, round(left, 4)
 
 
-def _share_off(bands: Sequence[_Band | None]) -> float:
+def _share_off(bands: Sequence[_MendedBand | None]) -> float:
     """Return all that is off over all that there is to be."""
     some = [band for band in bands if band is not None]
     off = sum(float(np.abs(band.off).sum()) for band in some)
@@ -203,9 +203,9 @@ def _share_off(bands: Sequence[_Band | None]) -> float:
 
 def _round(
     phases: np.ndarray,
-    bands: Sequence[_Band | None],
+    bands: Sequence[_MendedBand | None],
     given: tuple[np.ndarray, float, float, np.uint64],
-    place: Place,
+    place: FlipRegion,
     blocks: Sequence[Box],
     of_blocks: np.ndarray,
 ) -> tuple[np.ndarray, int]:

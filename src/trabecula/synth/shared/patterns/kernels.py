@@ -12,7 +12,7 @@ from trabecula.engine.compile import inline, kernel
 from trabecula.engine.random import below, philox
 
 REACH = 16
-"""Voxels of the longest chord that is told from longer ones."""
+"""Voxels of the longest chord that is counted by its length."""
 
 CHORDS = REACH + 1
 
