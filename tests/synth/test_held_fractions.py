@@ -194,7 +194,7 @@ def request_():
 @pytest.fixture(scope="module")
 def made(model, request_, tmp_path_factory):
     values, report = check_in_files(model, request_, tmp_path_factory.mktemp("files"))
-    assert set(report["graded"]) == {"joins", "small_bodies"}
+    assert set(report["graded"]) == {"joins", "small_bodies", "patterns"}
     return values
 
 

@@ -331,10 +331,12 @@ class TestTexture:
             if mended:
                 assert told["off_after"] < told["off_before"]
 
-    def test_a_target_of_three_phases_has_none(self, exemplar):
+    def test_three_phases_need_a_large_exemplar_and_no_target(self, exemplar):
         three = exemplar.values.copy()
         three[exemplar.values == 0] = 2
         three[:, :, ::5] = np.where(exemplar.values[:, :, ::5] == 0, 1, 0)
         image = tb.Image(three, "labels", phases=("solid", "binder", "void"))
-        model = tb.method("texture").fit(image)
-        assert "patterns" in model.generate(64, seed=1).recipe.steps[-1]["report"]
+        for side, matched in ((64, True), (60, False)):
+            model = tb.method("texture").fit(tb.crop(image, side))
+            report = model.generate(64, seed=1).recipe.steps[-1]["report"]
+            assert ("patterns" in report) == matched

@@ -109,8 +109,8 @@ class TextureConfig:
     interface_rounds: int = 2
     """With novelty: rounds over the voxels of interfaces in the end, 0 .. 10, in which single ones
     change their phase until chords, cubes of voxels and neighbours occur as often as in the
-    exemplar. For two or three phases, without a target. Recipes and models that do not name it:
-    0."""
+    exemplar. Of two phases, and of three without a target from exemplars of 62^3 on. Recipes
+    and models that do not name it: 0."""
 
     beyond_known: float = 0.7
     """Beside known voxels: how far a known voxel of labels is taken to be from an interface beyond

@@ -79,7 +79,7 @@ from trabecula.synth.shared.own_figures import (
     figure_stages,
     tell_off,
 )
-from trabecula.synth.shared.patterns.counts import MOST_PHASES
+from trabecula.synth.shared.patterns.counts import LEAST_VOXELS, MOST_PHASES
 from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.flips import FlipRegion, flip_voxels, pattern_stages
 from trabecula.synth.shared.pictures import ROOM
@@ -479,12 +479,16 @@ class TextureModel(Model):
         return values, report
 
     def _matches_patterns(self, request: Request) -> bool:
-        """Return whether single voxels of new material change phase in the end; of three phases not
-        where these are to differ from the exemplar's.
+        """Return whether single voxels of new material change phase in the end: where the exemplars
+        are large enough to tell their patterns; of three phases not where these are to differ from
+        the exemplar's.
         """
-        most = 2 if request.target else MOST_PHASES
-        few = isinstance(self.content, Labels) and len(self.content.present) <= most
-        return few and self.config.interface_rounds > 0
+        if not isinstance(self.content, Labels) or not self.config.interface_rounds:
+            return False
+        count = len(self.content.present)
+        size = sum(exemplar.values.size for exemplar in self.exemplars)
+        few = count <= (2 if request.target else MOST_PHASES)
+        return few and size >= LEAST_VOXELS * count**8
 
     @cached_property
     def _patterns(self) -> PatternDensities:

@@ -41,6 +41,10 @@ BLOCK = 40
 MOST_PHASES = 3
 """Cubes of more phases have too many combinations for an exemplar to tell their densities."""
 
+LEAST_VOXELS = 36
+"""Of an exemplar, for every combination of phases on a cube: of three phases 62^3. Where it has
+fewer, flips fit its chance, and leave interfaces rough."""
+
 ROOMS = 3 * CHORDS + len(STRIDES) + 1
 
 _CONNECTIVITIES = (6, 26)
