@@ -133,7 +133,7 @@ def grainy(phases, seed, share=0.1):
 
 
 def learn(exemplar, count=2):
-    return PatternDensities.of([exemplar], count, 20)
+    return PatternDensities.of([exemplar], count)
 
 
 @pytest.fixture(scope="module", params=[2, 3])
@@ -262,7 +262,8 @@ def test_densities_rise_with_the_fraction_as_in_windows():
     _, votes = blobs(0, shape)
     level = np.where(np.arange(120) < 60, -0.6, 0.6) * UNIT
     exemplar = (votes[0] > level).astype(np.uint8)
-    learnt = learn(exemplar)
+    learnt = PatternDensities.by_fraction([exemplar], 2, 20)
+    np.testing.assert_allclose(learnt.own, learn(exemplar).own)
     for half in (slice(0, 60), slice(60, 120)):
         part = np.ascontiguousarray(exemplar[:, :, half])
         own = Patterns.of(part, 2).densities

@@ -493,12 +493,21 @@ class TextureModel(Model):
     @cached_property
     def _patterns(self) -> PatternDensities:
         """Measure the patterns of the exemplars."""
-        assert isinstance(self.content, Labels)
-        present = self.content.present
-        phases = [phases_of(one.values, present) for one in self.exemplars]
+        return PatternDensities.of(*self._phases())
+
+    @cached_property
+    def _patterns_by_fraction(self) -> PatternDensities:
+        """Measure those of their denser and sparser places as well."""
+        phases, count = self._phases()
         shortest = min(min(one.shape) for one in phases)
         width = max(self._window(0), shortest // _PARTS)
-        return PatternDensities.of(phases, len(present), width)
+        return PatternDensities.by_fraction(phases, count, width)
+
+    def _phases(self) -> tuple[list[np.ndarray], int]:
+        """Return the exemplars' phases, counted from 0, and their number."""
+        assert isinstance(self.content, Labels)
+        present = self.content.present
+        return [phases_of(one.values, present) for one in self.exemplars], len(present)
 
     def _match_patterns(
         self,
@@ -511,14 +520,13 @@ class TextureModel(Model):
         fractions, and a report.
         """
         assert isinstance(self.content, Labels)
-        present = self.content.present
-        if request.target and fractions is None:
-            fractions = np.empty(1)  # one for all
+        present, graded = self.content.present, bool(request.target)
+        free = free_voxels(request)
         phases, report = flip_voxels(
             phases_of(values, present),
             votes,
-            self._patterns,
-            FlipRegion(request.periodic, free_voxels(request), request.mask, fractions),
+            self._patterns_by_fraction if graded else self._patterns,
+            FlipRegion(request.periodic, free, request.mask, graded, fractions),
             seed=request.seed,
             rounds=self.config.interface_rounds,
             unit=FULL / self.config.clip * UNIT,

@@ -29,14 +29,22 @@ class PatternDensities:
 
     bins: Bins
     own: np.ndarray
-    slopes: np.ndarray
-    fraction: float
-    below: float
-    above: float
+    slopes: np.ndarray | None = None
+    fraction: float = 0.0
+    below: float = 0.0
+    above: float = 0.0
 
     @classmethod
-    def of(cls, exemplars: Sequence[np.ndarray], count: int, width: int) -> PatternDensities:
-        """Measure windows of exemplars, phases (Z, Y, X) uint8 below `count`."""
+    def of(cls, exemplars: Sequence[np.ndarray], count: int) -> PatternDensities:
+        """Measure exemplars, phases (Z, Y, X) uint8 below `count`, without slopes."""
+        whole = reduce(add, (Patterns.of(phases, count) for phases in exemplars))
+        return cls(whole.bins, whole.densities)
+
+    @classmethod
+    def by_fraction(
+        cls, exemplars: Sequence[np.ndarray], count: int, width: int
+    ) -> PatternDensities:
+        """Measure windows of exemplars, and with them the slopes."""
         windows, fractions = [], []
         for phases in exemplars:
             boxes = boxes_of(phases.shape, width)
@@ -60,6 +68,7 @@ class PatternDensities:
         """Return the densities of places with a fraction of the second phase; None where the
         exemplar tells nothing about them.
         """
+        assert self.slopes is not None  # learnt `by_fraction`
         more = fraction - self.fraction
         if not -max(_BEYOND * self.below, _NEAREST) <= more <= max(_BEYOND * self.above, _NEAREST):
             return None

@@ -31,6 +31,7 @@ from trabecula.engine import memmap
 from trabecula.engine.chunking import Box, boxes_of, slices_of
 from trabecula.engine.memory import Array, Stage
 from trabecula.engine.parallel import thread_count
+from trabecula.measure.skeleton.simple import around
 from trabecula.synth.shared.patterns.counts import BLOCK, Bins, Patterns, cut_out, for_blocks
 from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.kernels import MARGIN, flip_block
@@ -85,19 +86,22 @@ class FlipRegion:
         Voxels that may change.
     valid : (Z, Y, X) bool, optional
         Voxels of the material: the others belong to no pattern.
+    graded : bool
+        Whether patterns are those of places of the exemplar with the fraction that is here.
     fractions : (Z, Y, X) float32, optional
-        Of the second of two phases, as a target has them; one voxel stands for all.
+        Of the second of two phases, as a target has them that varies.
     """
 
     wraps: Sequence[bool] = (False, False, False)
     free: np.ndarray | None = None
     valid: np.ndarray | None = None
+    graded: bool = False
     fractions: np.ndarray | None = None
 
     @property
     def fixed(self) -> np.ndarray | None:
         """Return the voxels of the material that may not change; None where all may."""
-        if self.free is None:
+        if self.free is None or self.free is self.valid:
             return None
         return ~self.free if self.valid is None else self.valid & ~self.free
 
@@ -140,7 +144,7 @@ def flip_voxels(
     level = _level(votes[0], phases, place.free) if len(votes) == 1 else 0.0
     before, changed = _share_off(bands), 0
     for number in track(range(rounds), "matching patterns"):
-        given = votes, level, unit, key(seed, f"patterns/{number}")
+        given = votes, level, _EFFORT / unit, key(seed, f"patterns/{number}")
         phases, count = _round(phases, bands, given, place, blocks, of_blocks)
         changed += count
     report = {"changed": changed, "off_before": before, "off_after": _share_off(bands)}
@@ -161,7 +165,7 @@ def _bands(
         where = True if free is None else free[inside]
         sizes[n] = phases[inside].size if free is None else np.count_nonzero(where)
         solid[n] = np.count_nonzero((phases[inside] == 1) & where)
-        if fractions is not None and fractions.size > 1 and sizes[n]:
+        if fractions is not None and sizes[n]:
             wanted[n] = fractions[inside].mean(dtype=np.float64, where=where)
 
     for_blocks(work, blocks)
@@ -181,7 +185,7 @@ def _bands(
     for band, (there, known) in enumerate(zip(made, held, strict=True)):
         own = of_blocks == band
         size, upper = sizes[own].sum(), solid[own].sum()
-        densities = patterns.own if fractions is None else patterns.at(upper / max(size, 1))
+        densities = patterns.at(upper / max(size, 1)) if place.graded else patterns.own
         if densities is None:
             left += size / sizes.sum()
             found.append(None)
@@ -215,9 +219,8 @@ def _round(
     counts = np.zeros(len(blocks), np.int64)
     free, valid = place.free, place.valid
     moving = _EVERYWHERE if free is None else free
-    votes, level, unit, stage = given
-    varies = place.fractions is not None and place.fractions.size > 1
-    cell = _CELL if varies else BLOCK
+    votes, level, effort, stage = given
+    cell = BLOCK if place.fractions is None else _CELL
 
     def work(n: int) -> None:
         box, inside = blocks[n], slices_of(blocks[n])
@@ -236,14 +239,14 @@ def _round(
             np.array([first for first, _ in box]),
             votes,
             level,
-            unit,
+            effort,
             stage,
             n,
             slopes,
             euler,
             euler_off,
             euler_weights,
-            _EFFORT,
+            _steps(local.shape),
             cell,
             own,
         )
@@ -265,17 +268,22 @@ def _level(votes: np.ndarray, phases: np.ndarray, free: np.ndarray | None) -> fl
     """
 
     def tally(start: int, stop: int) -> np.ndarray:
-        there = votes[start:stop].astype(np.int64) + _VOTES
+        there = votes[start:stop].astype(np.int32) + _VOTES
         upper = phases[start:stop] == 1
-        if free is not None:
-            there, upper = there[free[start:stop]], upper[free[start:stop]]
-        found = np.bincount(there.ravel(), minlength=2 * _VOTES + 1)
-        found[-1] = np.count_nonzero(upper)
-        return found
+        which = slice(None) if free is None else free[start:stop]
+        counts = np.bincount(there[which].ravel(), minlength=2 * _VOTES)
+        return np.append(counts, np.count_nonzero(upper[which]))
 
-    counts = tally_by_slabs(tally, votes.shape)
-    above = np.cumsum(counts[-2::-1])
-    return float(2 * _VOTES - 1 - np.searchsorted(above, counts[-1]) - _VOTES)
+    *counts, upper = tally_by_slabs(tally, votes.shape)
+    brightest = np.cumsum(counts[::-1])
+    return float(_VOTES - 1 - np.searchsorted(brightest, upper))
+
+
+def _steps(shape: tuple[int, ...]) -> np.ndarray:
+    """Return the steps in a flat local array to the 26 neighbours of a voxel, faces first."""
+    steps = around(shape)
+    apart = np.abs(np.indices((3, 3, 3)) - 1).sum(axis=0).ravel()
+    return steps[np.argsort(apart, kind="stable")[1:]]
 
 
 def pattern_stages(shape: Sequence[int], channels: int, *, free: bool) -> tuple[Stage, ...]:

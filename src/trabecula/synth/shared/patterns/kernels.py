@@ -10,6 +10,7 @@ import numpy as np
 
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.random import below, philox
+from trabecula.measure.neighbours import place_along
 
 REACH = 16
 """Voxels of the longest chord that is counted by its length."""
@@ -41,27 +42,19 @@ def load(phases, valid, corner, wraps, local):
     """Copy the part of phases (Z, Y, X) that begins at `corner` into a local array."""
     depth, height, width = phases.shape
     for z in range(local.shape[0]):
-        at_z = _place(z + corner[0], depth, wraps[0])
+        at_z = place_along(z + corner[0], depth, wraps[0])
         for y in range(local.shape[1]):
-            at_y = _place(y + corner[1], height, wraps[1])
+            at_y = place_along(y + corner[1], height, wraps[1])
             row = local[z, y]
             if at_z < 0 or at_y < 0:
                 row[:] = OUTSIDE
                 continue
             for x in range(local.shape[2]):
-                at_x = _place(x + corner[2], width, wraps[2])
+                at_x = place_along(x + corner[2], width, wraps[2])
                 if at_x < 0 or (valid.size and not valid[at_z, at_y, at_x]):
                     row[x] = OUTSIDE
                 else:
                     row[x] = phases[at_z, at_y, at_x]
-
-
-@inline
-def _place(at, side, wraps):
-    """Return where a coordinate is along an axis; -1 beyond an open face."""
-    if 0 <= at < side:
-        return at
-    return at % side if wraps else -1
 
 
 @kernel
@@ -178,14 +171,14 @@ def flip_block(
     corner,
     votes,
     level,
-    unit,
+    effort,
     key,
     number,
     slopes,
     euler,
     euler_misfit,
     euler_weights,
-    effort,
+    steps,
     cell,
     change,
 ):
@@ -195,15 +188,16 @@ def flip_block(
 
     `slopes` (bins, 2) hold twice the misfit times its weight, and the weight, of the block's share,
     as what follows does of Euler numbers. They and the local array follow, and `change` (bins,) of
-    the counts. A change costs `effort` for every voxel (`unit`) by which the votes (C, Z, Y, X) of
-    the volume, whose first voxel here is `corner`, lie on its phase's side of `level`.
+    the counts. A change costs `effort` for every unit by which the votes (C, Z, Y, X) of the
+    volume, whose first voxel here is `corner`, lie on its phase's side of `level`. `steps` (26,)
+    lead from a place in the local array to its neighbours, faces first.
     """
     spots = _interface(local)
     _shuffle(spots, key, number)
     powers = phases ** np.arange(8)
     codes = _all_neighbours(local)
     marks, mark = np.zeros(local.size, np.int32), np.int32(0)
-    stack, steps = np.empty(_SMALL, np.int64), _steps(local)
+    stack = np.empty(_SMALL, np.int64)
     bins, by = np.empty(_MOST_BINS, np.int64), np.empty(_MOST_BINS, np.int64)
     grid = np.empty(27, np.int64)
     loops = np.zeros(len(euler), np.float64)
@@ -227,7 +221,7 @@ def flip_block(
         count = _changes(local, codes, z, y, x, new, phases, powers, grid, bins, by)
         more = gained[_cell(z, y, x, cell, sides)]
         energy = 2.0 * _HELD * (more[new] - more[own] + 1)
-        energy += effort * _depth(votes[:, at_z, at_y, at_x], own, new, level) / unit
+        energy += effort * _depth(votes[:, at_z, at_y, at_x], own, new, level)
         loops[:] = 0
         for k in range(count):
             one = bins[k]
@@ -536,22 +530,3 @@ def _touches_small(local, spot, phase, steps, marks, mark, stack):
         if not met and not large:
             return True, mark
     return alone, mark
-
-
-@inline
-def _steps(local):
-    """Return the steps to the 26 neighbours of a place in a local array, faces first, (26,)."""
-    found = np.empty(26, np.int64)
-    faces, others = 0, 6
-    for dz in range(-1, 2):
-        for dy in range(-1, 2):
-            for dx in range(-1, 2):
-                apart = abs(dz) + abs(dy) + abs(dx)
-                step = (dz * local.shape[1] + dy) * local.shape[2] + dx
-                if apart == 1:
-                    found[faces] = step
-                    faces += 1
-                elif apart:
-                    found[others] = step
-                    others += 1
-    return found
