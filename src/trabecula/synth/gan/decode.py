@@ -14,7 +14,8 @@ is a function of seed and place, its shape is always the same, and its network r
 so a voxel does not depend on the box, on other tiles or on the number of threads. (Networks give
 other last bits for other shapes, which is why a smaller box does not get a smaller tile.) Where
 specks are removed, a tile is made with half a cell more on every side: no speck is so wide that a
-face could hide its neighbours.
+face could hide its neighbours. Where voxels change phase for the sake of patterns, with as many
+more as hold these.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from trabecula.engine.compile import inline, kernel
 from trabecula.engine.gaussian_random import normal_cells, quantiles
 from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.synth.gan.local_fractions import LocalFractions
+from trabecula.synth.shared.patterns.kernels import MARGIN
 
 CELLS = 8
 """Cells of the latent along an edge of a tile; more would waste less around it, and more on boxes
@@ -54,6 +56,10 @@ _RESPONSES, _TILES = 9, 8  # fractions that are tried, and tiles for each
 
 Given = Callable[[tuple[int, ...], tuple[int, ...]], np.ndarray]
 """Returns the local fractions of cells from a corner on, of so many sides: (K, *sides) float32."""
+
+Flips = Callable[[np.ndarray, np.ndarray, tuple[int, ...]], np.ndarray]
+"""Returns the values of a tile, some of them changed, of those with `MARGIN` voxels more on every
+side, of the field that they were made of, and of its place in the grid."""
 
 _ROUNDS = 200  # of moving the offsets of several phases
 
@@ -325,6 +331,7 @@ def make_tiles(
     *,
     specks: int = 0,
     given: Given | None = None,
+    flips: Flips | None = None,
 ) -> np.ndarray:
     """Return the values of a box.
 
@@ -341,7 +348,11 @@ def make_tiles(
         Edge of the components that are removed, voxels; for labels alone.
     given : callable, optional
         Of a generator that takes local fractions. Default: the mean everywhere.
+    flips : callable, optional
+        Changes voxels of tiles. Default: none are changed.
     """
+    more = margin_cells(network.cell, specks=specks, flips=flips is not None)
+    own = slice(more * network.cell // 2, more * network.cell // 2 + CELLS * network.cell)
     values = np.empty([last - first for first, last in box], dtype)
     edge = CELLS * network.cell
     tiles = list(product(*(range(first // edge, -(-last // edge)) for first, last in box)))
@@ -355,20 +366,31 @@ def make_tiles(
             def work(start: int, stop: int, together: list[Any] = together) -> None:
                 for tile in together[start:stop]:
                     inside, target = _overlap(box, tile, edge)
-                    field = _tile_field(network, key, tile, periods, margin_cells(specks), given)
-                    if specks:
-                        beyond = (slice(network.cell // 2, network.cell // 2 + edge),) * 3
-                        values[target] = remove_specks(to_values(field), specks)[beyond][inside]
-                    else:
+                    field = _tile_field(network, key, tile, periods, more, given)
+                    if not more:
                         values[target] = to_values(field[(slice(None), *inside)])
+                        continue
+                    made = remove_specks(to_values(field), specks)
+                    if flips is None:
+                        made = made[(own,) * 3]
+                    else:
+                        around = slice(own.start - MARGIN, own.stop + MARGIN)
+                        made = np.ascontiguousarray(made[(around,) * 3])
+                        made = flips(made, field[(slice(None), own, own, own)], tile)
+                    values[target] = made[inside]
 
             for_slabs(work, len(together), least=1)
     return values
 
 
-def margin_cells(specks: int) -> int:
-    """Return the cells that a tile has beyond its own."""
-    return 1 if specks else 0
+def margin_cells(cell: int, *, specks: int, flips: bool) -> int:
+    """Return the cells that a tile has beyond its own along an axis, half of them on either side.
+
+    Specks take an odd number: with or without flips a tile then lies at the same place.
+    """
+    if not specks:
+        return 2 * -(-MARGIN // cell) if flips else 0
+    return 1 + 2 * -(-(2 * MARGIN - cell) // (2 * cell)) if flips else 1
 
 
 def _tile_field(
@@ -379,10 +401,12 @@ def _tile_field(
     more: int,
     given: Given | None,
 ) -> np.ndarray:
-    """Return the field of a tile and of `more` cells after it, (K, Z, Y, X) float32."""
+    """Return the field of a tile and of `more` cells around it, the odd one after it, (K, Z, Y, X)
+    float32.
+    """
     halo = network.halo
     latent = np.empty((network.latent, *(CELLS + more + 2 * halo,) * 3), np.float32)
-    corner = np.array([CELLS * place - halo for place in tile], np.int64)
+    corner = np.array([CELLS * place - more // 2 - halo for place in tile], np.int64)
     normal_cells(latent, key, corner, np.array(periods, np.int64), quantiles())
     sides = latent.shape[1:]
     fractions = (

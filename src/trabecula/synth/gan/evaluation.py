@@ -16,6 +16,7 @@ from trabecula.core.seeds import key
 from trabecula.engine.parallel import thread_count
 from trabecula.exemplar.views import views_of
 from trabecula.measure import euler_density, largest_fraction, two_point
+from trabecula.synth.gan import patterns
 from trabecula.synth.gan.adversarial import AdversarialPair
 from trabecula.synth.gan.config import GanConfig
 from trabecula.synth.gan.crops import TrainingFields
@@ -225,9 +226,14 @@ class Evaluator:
                 drawn=self.images[0].ndim == 2,
             )
             more["fractions"] = replace(pair.local, response=response).to_json()
+        side = patterns.LEAST_SIDE if state.iteration < patterns.YOUNG else patterns.SIDE
+        bias = patterns.learn_bias(
+            network, self.config, self.images[0], calibration, pair.local, side=side
+        )
         return {
             "generator": stored,
             "calibration": calibration,
+            "bias": bias,
             **more,
             "training": {
                 "iterations": state.iteration,

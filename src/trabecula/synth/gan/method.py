@@ -27,8 +27,12 @@ from trabecula.synth.api.method import Method, ModelState
 from trabecula.synth.api.windows import WindowModel, field_in
 from trabecula.synth.gan import CAPABILITIES
 from trabecula.synth.gan.config import GanConfig
-from trabecula.synth.gan.decode import CELLS, Given, decode, make_tiles, margin_cells
+from trabecula.synth.gan.decode import CELLS, Flips, Given, decode, make_tiles, margin_cells
 from trabecula.synth.gan.local_fractions import LocalFractions, cell_means
+from trabecula.synth.gan.patterns import join_arrays, learn_bias, make_flips, split_arrays
+from trabecula.synth.shared.patterns.bias import PatternBias
+from trabecula.synth.shared.patterns.counts import LEAST_VOXELS
+from trabecula.synth.shared.patterns.flips import LOCAL
 from trabecula.synth.shared.pictures import check_pictures_agree
 
 PROCESS = 485 << 20
@@ -90,7 +94,8 @@ class Gan(Method):
 
     def from_state(self, exemplars: Sequence[Any], state: ModelState) -> GanModel:
         """Build the model that `GanModel.state` described."""
-        parts = {"generator": state.arrays, **state.plain, "training": state.history}
+        weights, bias = split_arrays(state.arrays, state.plain)
+        parts = {"generator": weights, "bias": bias, **state.plain, "training": state.history}
         return build_model(self.config, exemplars, parts)
 
 
@@ -104,7 +109,7 @@ class GanModel(WindowModel):
     parts : dict
         "generator": tensors or arrays by name; "calibration" and "training": plain JSON (see
         `decode` and `train`); "fractions", where it takes local fractions: plain JSON (see
-        `LocalFractions`).
+        `LocalFractions`); "bias": a `PatternBias`, or None.
     """
 
     capabilities = CAPABILITIES
@@ -118,9 +123,41 @@ class GanModel(WindowModel):
         weights = {name: _as_array(tensor) for name, tensor in parts["generator"].items()}
         self.parts = {**parts, "generator": weights}
         self.local = LocalFractions.from_json(parts["fractions"]) if "fractions" in parts else None
+        self.bias: PatternBias | None = parts.get("bias")
         self._network: Any = None
         self._device = "cpu"
         self._wanted: tuple[Request, np.ndarray] | None = None
+
+    def matched_to(self, exemplar: Image) -> GanModel:
+        """Return the same model, whose material ends with voxels that change phase until patterns
+        are as frequent as in an exemplar: what a model that was trained before could not learn.
+
+        Parameters
+        ----------
+        exemplar : Image of labels (Z, Y, X)
+            What it learnt from, or more of that material; the same phases.
+
+        Raises
+        ------
+        InputError
+            An exemplar of other phases or with other labels, or one that tells no patterns: grey, a
+            picture, too small, of more than three phases.
+        """
+        present = list(self.calibration.get("present", ()))
+        if exemplar.kind != "labels" or np.unique(exemplar.values).tolist() != present:
+            raise InputError(
+                f"this model makes the labels {present}: give an exemplar of just these"
+            )
+        config = replace(self.config, interface_rounds=1)
+        bias = learn_bias(self.network, config, exemplar, self.calibration, self.local)
+        if bias is None:
+            raise InputError(
+                "the exemplar tells no patterns: give a volume of two or three phases, of at least "
+                f"{LEAST_VOXELS * len(present) ** 8} voxels"
+            )
+        found = GanModel(config, self.facts, {**self.parts, "bias": bias})
+        found.name, found._device = self.name, self._device
+        return found
 
     def on(self, device: str) -> GanModel:
         """Return the same model, which makes material on a device.
@@ -186,12 +223,14 @@ class GanModel(WindowModel):
         return self._network
 
     def state(self) -> ModelState:
-        """Return the weights, the calibration, the local fractions and the history of the
-        training; of pictures the spacing of the volume.
+        """Return the weights, the calibration, the local fractions, the patterns and the history
+        of the training; of pictures the spacing of the volume.
         """
         plain = {"calibration": self.calibration}
         plain |= {name: self.parts[name] for name in ("spacing", "fractions") if name in self.parts}
-        return ModelState(self.parts["generator"], plain, dict(self.parts.get("training", {})))
+        plain |= {} if self.bias is None else {"patterns": self.bias.plain()}
+        arrays = join_arrays(self.parts["generator"], self.bias)
+        return ModelState(arrays, plain, dict(self.parts.get("training", {})))
 
     def browser_parts(self) -> tuple[dict[str, Any], np.ndarray]:
         """Return what makes the same labels in a page: settings as plain JSON, and weights.
@@ -243,24 +282,30 @@ class GanModel(WindowModel):
         return {**found, "spacing": tuple(self.parts.get("spacing", found["spacing"]))}
 
     def make_box(self, request: Request, box: Box) -> np.ndarray:
-        network = self.network
+        within, places = _within_periods(request, box)
         cell = self.config.cell
         periods = tuple(
             side // cell if wraps else 0
             for side, wraps in zip(request.shape, request.periodic, strict=True)
         )
-        to_values = partial(decode, calibration=self.calibration)
-        latent = key(request.seed, "gan/latent")
-        return make_tiles(
-            network,
-            latent,
-            box,
+        made = make_tiles(
+            self.network,
+            key(request.seed, "gan/latent"),
+            within,
             periods,
-            to_values,
+            partial(decode, calibration=self.calibration),
             self.dtype,
             specks=self.specks,
-            given=self._given(request, box, periods),
+            given=self._given(request, within, periods),
+            flips=self._flips(request.seed),
         )
+        return made if within == box else made[np.ix_(*places)]
+
+    def _flips(self, seed: int) -> Flips | None:
+        """Return what changes the tiles of a seed in the end."""
+        if self.bias is None:
+            return None
+        return make_flips(self.bias, self.calibration, seed)
 
     def _given(self, request: Request, box: Box, periods: tuple[int, ...]) -> Given | None:
         """Return what gives the generator its local fractions: a random field, or the target's."""
@@ -384,7 +429,8 @@ class GanModel(WindowModel):
         from trabecula.synth.gan.networks import inference_bytes
 
         weights = sum(array.nbytes for array in self.parts["generator"].values())
-        cells = CELLS + margin_cells(self.specks)
+        flips = self.bias is not None
+        cells = CELLS + margin_cells(self.config.cell, specks=self.specks, flips=flips)
         edge = cells * self.config.cell
         made = (
             inference_bytes(self.config, self.channels, cells)
@@ -396,7 +442,23 @@ class GanModel(WindowModel):
             "exemplar": 2 * weights,
             "network": thread_count() * made,
             "tiles": thread_count() * 3 * edge**3 * self.dtype.itemsize + _LATENT,
+            **({"patterns": thread_count() * LOCAL * edge**3} if flips else {}),
         }
+
+
+def _within_periods(request: Request, box: Box) -> tuple[Box, list[np.ndarray]]:
+    """Return the part of the period that a box is made of, and the places in it of its voxels: a
+    box beyond a periodic axis repeats what lies within, whose tiles are others' neighbours.
+    """
+    within, places = [], []
+    for (first, last), side, wraps in zip(box, request.shape, request.periodic, strict=True):
+        voxels = np.arange(first, last)
+        if wraps and (first < 0 or last > side):
+            voxels %= side
+        low, high = int(voxels.min()), int(voxels.max()) + 1
+        within.append((low, high))
+        places.append(voxels - low)
+    return tuple(within), places
 
 
 def build_model(

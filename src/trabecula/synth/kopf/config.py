@@ -81,3 +81,6 @@ class RelativeSettings:
 
     vote_power: float = 1.0
     """Power to which distances are raised before they are averaged."""
+
+    interface_rounds: int = 2
+    """Rounds over the voxels of interfaces in the end."""

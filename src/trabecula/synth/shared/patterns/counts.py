@@ -160,6 +160,11 @@ class Patterns:
         rooms = self.rooms[self.bins.rooms]
         return np.asarray(self.counts / np.maximum(rooms, 1))
 
+    @property
+    def chord_densities(self) -> np.ndarray:
+        """Return those of the chords along each axis, (3, bins of an axis)."""
+        return self.densities[: self.bins.cubes].reshape(3, -1)
+
 
 def cut_out(phases: np.ndarray, valid: np.ndarray, box: Box, wraps: np.ndarray) -> np.ndarray:
     """Return a box with `MARGIN` voxels around it; what is beyond an open face, or not valid, is

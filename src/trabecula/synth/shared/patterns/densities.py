@@ -5,7 +5,7 @@ places of the exemplar.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
 
@@ -63,6 +63,15 @@ class PatternDensities:
         )
         slopes /= np.maximum(rooms[bins.rooms], 1e-9)
         return cls(bins, own, slopes, mean, float(-far.min()), float(far.max()))
+
+    def with_chords(self, along: Sequence[np.ndarray | None]) -> PatternDensities:
+        """Return them with other chords along some axes, (bins of an axis,) each."""
+        own = self.own.copy()
+        chords = own[: self.bins.cubes].reshape(3, -1)
+        for axis, found in enumerate(along):
+            if found is not None:
+                chords[axis] = found
+        return replace(self, own=own)
 
     def at(self, fraction: float) -> np.ndarray | None:
         """Return the densities of places with a fraction of the second phase; None where the

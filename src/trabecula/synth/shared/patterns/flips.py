@@ -31,47 +31,18 @@ from trabecula.engine import memmap
 from trabecula.engine.chunking import Box, boxes_of, slices_of
 from trabecula.engine.memory import Array, Stage
 from trabecula.engine.parallel import thread_count
-from trabecula.measure.skeleton.simple import around
-from trabecula.synth.shared.patterns.counts import BLOCK, Bins, Patterns, cut_out, for_blocks
+from trabecula.synth.shared.patterns.counts import BLOCK, Patterns, cut_out, for_blocks
 from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.kernels import MARGIN, flip_block
+from trabecula.synth.shared.patterns.misfit import EFFORT, Misfit, steps_around
 from trabecula.synth.shared.slabs import tally_by_slabs
 
-_NEIGHBOURS = 0.3  # weight of their misfit beside that of chords and cubes
-_EULER = 20.0  # of that of Euler numbers
-_EFFORT = 0.5  # of a voxel that the votes put a voxel away from the interface
 _CELL = 10  # voxels a side of what keeps its fraction where the target varies
 _BANDS, _BLOCKS = 6, 8  # bands of a target that varies, at most, and blocks of each, at least
 _EVERYWHERE = np.empty((0, 0, 0), bool)
 _VOTES = 1 << 15
-_LOCAL = 15  # bytes of a voxel of a local array
-
-
-@dataclass
-class _MendedBand:
-    """Blocks that are mended together: how many patterns they are to have, and what is off."""
-
-    bins: Bins
-    size: int  # free voxels
-    target: np.ndarray
-    off: np.ndarray
-
-    def of_block(self, share: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the slopes of the energy with a share of the misfit, and the misfit and weights of
-        Euler numbers.
-        """
-        bins = self.bins
-        weights = 1 / (self.target * share + 1)
-        weights[bins.neighbours :] *= _NEIGHBOURS
-        slopes = np.stack([2 * share * self.off * weights, weights], axis=1)
-        cubes = slice(bins.cubes, bins.cubes + bins.combinations)
-        wanted = np.abs(bins.euler @ self.target[cubes])
-        return (
-            slopes,
-            bins.euler,
-            share * (bins.euler @ self.off[cubes]),
-            _EULER / (share * wanted + 1),
-        )
+LOCAL = 15
+"""Bytes of a voxel of a local array."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +115,7 @@ def flip_voxels(
     level = _level(votes[0], phases, place.free) if len(votes) == 1 else 0.0
     before, changed = _share_off(bands), 0
     for number in track(range(rounds), "matching patterns"):
-        given = votes, level, _EFFORT / unit, key(seed, f"patterns/{number}")
+        given = votes, level, EFFORT / unit, key(seed, f"patterns/{number}")
         phases, count = _round(phases, bands, given, place, blocks, of_blocks)
         changed += count
     report = {"changed": changed, "off_before": before, "off_after": _share_off(bands)}
@@ -153,7 +124,7 @@ def flip_voxels(
 
 def _bands(
     phases: np.ndarray, patterns: PatternDensities, place: FlipRegion, blocks: Sequence[Box]
-) -> tuple[list[_MendedBand | None], np.ndarray, float]:
+) -> tuple[list[Misfit | None], np.ndarray, float]:
     """Return the bands of equal target, None where the exemplar knows no such place; the band of
     every block, and the share of free voxels in those that are left.
     """
@@ -174,7 +145,7 @@ def _bands(
     of_blocks = np.zeros(len(blocks), np.int64)
     of_blocks[at[np.argsort(wanted[at], kind="stable")]] = np.arange(len(at)) * count // len(at)
     bins = patterns.bins
-    found: list[_MendedBand | None] = []
+    found: list[Misfit | None] = []
     given = (bins.phases, blocks, of_blocks)
     made = Patterns.by_kind(phases, *given, wraps=place.wraps, valid=place.valid)
     fixed = place.fixed
@@ -194,11 +165,11 @@ def _bands(
         target = densities * rooms[bins.rooms]
         if fixed is not None:
             target += known.counts
-        found.append(_MendedBand(bins, int(size), target, there.counts - target))
+        found.append(Misfit(bins, int(size), target, there.counts - target))
     return found, of_blocks, round(left, 4)
 
 
-def _share_off(bands: Sequence[_MendedBand | None]) -> float:
+def _share_off(bands: Sequence[Misfit | None]) -> float:
     """Return all that is off over all that there is to be."""
     some = [band for band in bands if band is not None]
     off = sum(float(np.abs(band.off).sum()) for band in some)
@@ -207,7 +178,7 @@ def _share_off(bands: Sequence[_MendedBand | None]) -> float:
 
 def _round(
     phases: np.ndarray,
-    bands: Sequence[_MendedBand | None],
+    bands: Sequence[Misfit | None],
     given: tuple[np.ndarray, float, float, np.uint64],
     place: FlipRegion,
     blocks: Sequence[Box],
@@ -246,7 +217,7 @@ def _round(
             euler,
             euler_off,
             euler_weights,
-            _steps(local.shape),
+            steps_around(local.shape),
             cell,
             own,
         )
@@ -279,13 +250,6 @@ def _level(votes: np.ndarray, phases: np.ndarray, free: np.ndarray | None) -> fl
     return float(_VOTES - 1 - np.searchsorted(brightest, upper))
 
 
-def _steps(shape: tuple[int, ...]) -> np.ndarray:
-    """Return the steps in a flat local array to the 26 neighbours of a voxel, faces first."""
-    steps = around(shape)
-    apart = np.abs(np.indices((3, 3, 3)) - 1).sum(axis=0).ravel()
-    return steps[np.argsort(apart, kind="stable")[1:]]
-
-
 def pattern_stages(shape: Sequence[int], channels: int, *, free: bool) -> tuple[Stage, ...]:
     """Declare the arrays of the flips."""
     local = int(np.prod([min(BLOCK, side) + 2 * MARGIN for side in shape]))
@@ -295,6 +259,6 @@ def pattern_stages(shape: Sequence[int], channels: int, *, free: bool) -> tuple[
         "changed phases": Array(shape, np.uint8),
         "free": Array(shape, bool) if free else None,
         "known": Array(shape, bool) if free else None,
-        "blocks": Array(_LOCAL * local * thread_count(), np.uint8, at_most=True),
+        "blocks": Array(LOCAL * local * thread_count(), np.uint8, at_most=True),
     }
     return (Stage("patterns", arrays),)

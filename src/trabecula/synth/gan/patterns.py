@@ -1,0 +1,144 @@
+"""The end of a generator's material: voxels of interfaces change phase, tile by tile, by what its
+patterns are off on average.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.image import Image
+from trabecula.core.seeds import key
+from trabecula.synth.gan.config import GanConfig
+from trabecula.synth.gan.decode import Flips, Given, decode, make_tiles
+from trabecula.synth.gan.local_fractions import LocalFractions
+from trabecula.synth.shared.content.fields import UNIT
+from trabecula.synth.shared.patterns.bias import PatternBias
+from trabecula.synth.shared.patterns.counts import LEAST_VOXELS, MOST_PHASES
+
+SIDE, LEAST_SIDE = 256, 64
+"""Voxels a side of the material that is compared with the exemplar, and of that of a training of
+less than `YOUNG` iterations."""
+
+YOUNG = 300
+
+_WINDOW = 64  # of the parts of both that tell how patterns change with the fraction
+_SLOPE = 2  # voxels over the field tanh(voxels / 2), next to an interface
+_PREFIX = "patterns."
+
+
+def learn_bias(
+    network: Any,
+    config: GanConfig,
+    exemplar: Image,
+    calibration: Mapping[str, Any],
+    local: LocalFractions | None,
+    *,
+    side: int = SIDE,
+) -> PatternBias | None:
+    """Compare a generator's patterns with its exemplar's; None where there are none to compare:
+    pictures, grey, more than three phases, or an exemplar too small to tell.
+
+    Parameters
+    ----------
+    network : generator
+        As `networks.load_generator` returns it.
+    config : GanConfig
+    exemplar : Image
+    calibration : mapping
+        As `decode` takes it.
+    local : LocalFractions, optional
+        Of a generator that is given them.
+    side : int
+        Voxels of the material that is compared.
+    """
+    present = calibration.get("present", ())
+    count = len(present)
+    if (
+        not config.interface_rounds
+        or exemplar.ndim != 3
+        or not 2 <= count <= MOST_PHASES
+        or exemplar.values.size < LEAST_VOXELS * count**8
+    ):
+        return None
+    places = _places_of(present)
+    seed, periods = config.seed, (0, 0, 0)
+    given: Given | None = None
+    if local is not None:
+        given = partial(local.draw, key(seed, "gan/patterns fractions"), periods=periods)
+
+    def make(bias: PatternBias | None) -> np.ndarray:
+        return places[
+            make_tiles(
+                network,
+                key(seed, "gan/patterns latent"),
+                ((0, side),) * 3,
+                periods,
+                partial(decode, calibration=calibration),
+                np.uint8,
+                specks=config.specks,
+                given=given,
+                flips=None if bias is None else make_flips(bias, calibration, seed),
+            )
+        ]
+
+    width = min(_WINDOW, min(exemplar.shape) // 2)
+    return PatternBias.learn([places[exemplar.values]], count, make, width=width)
+
+
+def make_flips(bias: PatternBias, calibration: Mapping[str, Any], seed: int) -> Flips:
+    """Return what changes the tiles of labels of a seed."""
+    present = calibration["present"]
+    places, labels = _places_of(present), np.asarray(present, np.uint8)
+    offsets = np.asarray(calibration["offsets"], np.float32)
+    several = len(present) > 2
+
+    def flips(values: np.ndarray, field: np.ndarray, tile: tuple[int, ...]) -> np.ndarray:
+        z, y, x = tile
+        depths = field + offsets[:, None, None, None] if several else field - offsets[0]
+        found: np.ndarray = bias.mend(
+            places[values],
+            np.rint(depths * np.float32(_SLOPE * UNIT)).astype(np.int16),
+            key(seed, f"gan/patterns/{z}/{y}/{x}"),
+            level=0.0,
+            unit=UNIT,
+        )
+        return labels[found]
+
+    return flips
+
+
+def join_arrays(
+    generator: Mapping[str, np.ndarray], bias: PatternBias | None
+) -> dict[str, np.ndarray]:
+    """Return the arrays of a model's file: weights, and patterns."""
+    more = {} if bias is None else bias.arrays()
+    return {**generator, **{_PREFIX + name: array for name, array in more.items()}}
+
+
+def split_arrays(
+    arrays: Mapping[str, np.ndarray], plain: Mapping[str, Any]
+) -> tuple[dict[str, np.ndarray], PatternBias | None]:
+    """Return weights and patterns of the arrays and the plain JSON of a model's file.
+
+    Raises
+    ------
+    ValueError, TypeError, LookupError
+        Damaged patterns.
+    """
+    cut = len(_PREFIX)
+    weights = {name: array for name, array in arrays.items() if not name.startswith(_PREFIX)}
+    kept = {name[cut:]: array for name, array in arrays.items() if name.startswith(_PREFIX)}
+    if not kept:
+        return weights, None
+    return weights, PatternBias.from_parts(kept, plain["patterns"])
+
+
+def _places_of(present: Sequence[int]) -> np.ndarray:
+    """Return the phase, counted from 0, of every label, (256,) uint8."""
+    places = np.zeros(256, np.uint8)
+    places[list(present)] = np.arange(len(present))
+    return places
