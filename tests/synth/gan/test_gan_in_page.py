@@ -36,7 +36,7 @@ console.log(JSON.stringify({
 )
 def test_the_page_makes_the_voxels_of_python(tmp_path, name, side, corner):
     # bone has specks and a corner before the origin, berea a further blur and several blocks
-    model = tb.load_model(name)
+    model = tb.load_model(name).unmatched()
     made = as_endless(model, None, 32, 0)
     about = made.about(0)["model"]
     steps = made.blocks()["quantiles"]

@@ -159,6 +159,16 @@ class GanModel(WindowModel):
         found.name, found._device = self.name, self._device
         return found
 
+    def unmatched(self) -> GanModel:
+        """Return the same model, whose material stays as the generator makes it: what a page makes
+        that draws it in the browser, and what a last bit more or less changes in single voxels only.
+        """
+        found = GanModel(
+            replace(self.config, interface_rounds=0), self.facts, {**self.parts, "bias": None}
+        )
+        found.name, found._device = self.name, self._device
+        return found
+
     def on(self, device: str) -> GanModel:
         """Return the same model, which makes material on a device.
 
@@ -166,7 +176,8 @@ class GanModel(WindowModel):
         ----------
         device : {"cpu", "cuda", "auto"}
             A model that was trained or loaded makes material on the processor. A GPU is faster,
-            and gives other values to a few voxels next to the threshold; the recipe names it.
+            and gives other values to a few voxels next to the threshold, from which other voxels
+            of their tile may differ that change in the end; the recipe names it.
 
         Raises
         ------
@@ -414,7 +425,9 @@ class GanModel(WindowModel):
             )
 
     def report_run(self) -> Mapping[str, Any]:
-        """Return version and arithmetic: a few voxels near a threshold depend on both."""
+        """Return version and arithmetic: a few voxels near a threshold depend on both, and those
+        that change in the end on these.
+        """
         torch = need("torch", extra="learn", purpose="method 'gan'")
         from trabecula.synth.gan.networks import arithmetic
 

@@ -97,7 +97,7 @@ class Endless {
       ["Made by", `gan ${about.name}, seed ${asked.seed}, from voxel ${asked.corner.join(", ")}`]];
     const box = asked.corner.map((low) => `(${low}, ${low + side})`).join(", ");
     this.command.textContent = asked.porosity < 0
-      ? `In Python, the same voxels but for a few beside the threshold: tb.load_model("${about.name}").window(${side}, [${box}], seed=${asked.seed})`
+      ? `In Python, the same voxels but for a few beside the threshold: tb.load_model("${about.name}").unmatched().window(${side}, [${box}], seed=${asked.seed})`
       : "The dial has moved the threshold: these voxels are of this page alone.";
     if (other) app.focus = [0.5, 0.5, 0.5];
     this.show();
