@@ -34,7 +34,7 @@ def rough(seed, side=96):
     return (depths(seed, side) + 0.5 * field(seed + 2, (side,) * 3, 1) > 0).astype(np.uint8)
 
 
-def smooth(seed, bias=None, side=96):
+def smooth(seed, bias=None, side=96, cell=None):
     """What a generator makes of the same blobs, changed block by block by a bias."""
     made = depths(seed, side)
     votes = np.clip(made * UNIT, -32000, 32000).astype(np.int16)[None]
@@ -46,7 +46,9 @@ def smooth(seed, bias=None, side=96):
         local = cut_out(before, EVERYWHERE, box, HERE)
         inside = tuple(slice(first, last) for first, last in box)
         given = np.uint64(seed + n)
-        found[inside] = bias.mend(local, votes[(0, *inside)][None], given, level=0.0, unit=UNIT)
+        found[inside] = bias.mend(
+            local, votes[(0, *inside)][None], given, level=0.0, unit=UNIT, cell=cell
+        )
     return found
 
 
@@ -73,6 +75,16 @@ def test_material_that_it_never_saw_comes_nearer(bias):
         for box in boxes_of(before.shape, SIDE):
             inside = tuple(slice(first, last) for first, last in box)
             assert before[inside].sum() == after[inside].sum()
+
+
+def test_parts_keep_their_fractions(bias):
+    """Blocks of 32 in cells of 10: the last along an axis holds what remains."""
+    first = [0, 10, 20, 30, 32, 42, 52, 62]
+    before, after = smooth(11, side=64), smooth(11, bias, side=64, cell=10)
+    assert np.mean(before != after) > 0.01
+    for axis in range(3):
+        before, after = (np.add.reduceat(p.astype(int), first, axis) for p in (before, after))
+    np.testing.assert_array_equal(before, after)
 
 
 def test_samples_go_on_scattering(bias):

@@ -160,8 +160,8 @@ class GanModel(WindowModel):
         return found
 
     def unmatched(self) -> GanModel:
-        """Return the same model, whose material stays as the generator makes it: what a page makes
-        that draws it in the browser, and what a last bit more or less changes in single voxels only.
+        """Return the same model, whose material stays as the generator makes it: as a page does in
+        a browser. A last bit more or less then changes single voxels, and none around them.
         """
         found = GanModel(
             replace(self.config, interface_rounds=0), self.facts, {**self.parts, "bias": None}
@@ -308,15 +308,16 @@ class GanModel(WindowModel):
             self.dtype,
             specks=self.specks,
             given=self._given(request, within, periods),
-            flips=self._flips(request.seed),
+            flips=self._flips(request),
         )
         return made if within == box else made[np.ix_(*places)]
 
-    def _flips(self, seed: int) -> Flips | None:
-        """Return what changes the tiles of a seed in the end."""
+    def _flips(self, request: Request) -> Flips | None:
+        """Return what changes the tiles of a request in the end."""
         if self.bias is None:
             return None
-        return make_flips(self.bias, self.calibration, seed)
+        graded = isinstance(porosity_of(request.target), np.ndarray)
+        return make_flips(self.bias, self.calibration, request.seed, graded=graded)
 
     def _given(self, request: Request, box: Box, periods: tuple[int, ...]) -> Given | None:
         """Return what gives the generator its local fractions: a random field, or the target's."""

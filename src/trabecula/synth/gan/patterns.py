@@ -18,6 +18,7 @@ from trabecula.synth.gan.local_fractions import LocalFractions
 from trabecula.synth.shared.content.fields import UNIT
 from trabecula.synth.shared.patterns.bias import PatternBias
 from trabecula.synth.shared.patterns.counts import LEAST_VOXELS, MOST_PHASES
+from trabecula.synth.shared.patterns.misfit import CELL
 
 SIDE, LEAST_SIDE = 256, 64
 """Voxels a side of the material that is compared with the exemplar, and of that of a training of
@@ -89,8 +90,12 @@ def learn_bias(
     return PatternBias.learn([places[exemplar.values]], count, make, width=width)
 
 
-def make_flips(bias: PatternBias, calibration: Mapping[str, Any], seed: int) -> Flips:
-    """Return what changes the tiles of labels of a seed."""
+def make_flips(
+    bias: PatternBias, calibration: Mapping[str, Any], seed: int, *, graded: bool = False
+) -> Flips:
+    """Return what changes the tiles of labels of a seed; where a target varies, `graded`, without
+    moving fractions.
+    """
     present = calibration["present"]
     places, labels = _places_of(present), np.asarray(present, np.uint8)
     offsets = np.asarray(calibration["offsets"], np.float32)
@@ -105,6 +110,7 @@ def make_flips(bias: PatternBias, calibration: Mapping[str, Any], seed: int) -> 
             key(seed, f"gan/patterns/{z}/{y}/{x}"),
             level=0.0,
             unit=UNIT,
+            cell=CELL if graded else None,
         )
         return labels[found]
 

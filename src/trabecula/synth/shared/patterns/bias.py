@@ -77,7 +77,14 @@ class PatternBias:
         return found
 
     def mend(
-        self, local: np.ndarray, votes: np.ndarray, key: np.uint64, *, level: float, unit: float
+        self,
+        local: np.ndarray,
+        votes: np.ndarray,
+        key: np.uint64,
+        *,
+        level: float,
+        unit: float,
+        cell: int | None = None,
     ) -> np.ndarray:
         """Return the phases (Z, Y, X) uint8 of a block that are changed; as they were where the
         exemplars have no place of such a fraction. Every phase keeps its number of voxels.
@@ -94,6 +101,8 @@ class PatternBias:
             Of the votes where the second of two phases begins.
         unit : float
             Of the votes in a voxel.
+        cell : int, optional
+            Voxels a side of the parts that keep their fractions. Default: the block as a whole.
         """
         core = local[(slice(MARGIN, -MARGIN),) * 3]
         more = float(np.mean(core == 1)) - self.wanted.fraction
@@ -119,7 +128,7 @@ class PatternBias:
             0,
             *misfit.of_block(1.0),
             steps_around(local.shape),
-            max(core.shape),
+            cell or max(core.shape),
             np.zeros(self.wanted.bins.total, np.int64),
         )
         return core

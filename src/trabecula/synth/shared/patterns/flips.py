@@ -34,10 +34,9 @@ from trabecula.engine.parallel import thread_count
 from trabecula.synth.shared.patterns.counts import BLOCK, Patterns, cut_out, for_blocks
 from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.kernels import MARGIN, flip_block
-from trabecula.synth.shared.patterns.misfit import EFFORT, Misfit, steps_around
+from trabecula.synth.shared.patterns.misfit import CELL, EFFORT, Misfit, steps_around
 from trabecula.synth.shared.slabs import tally_by_slabs
 
-_CELL = 10  # voxels a side of what keeps its fraction where the target varies
 _BANDS, _BLOCKS = 6, 8  # bands of a target that varies, at most, and blocks of each, at least
 _EVERYWHERE = np.empty((0, 0, 0), bool)
 _VOTES = 1 << 15
@@ -191,7 +190,7 @@ def _round(
     free, valid = place.free, place.valid
     moving = _EVERYWHERE if free is None else free
     votes, level, effort, stage = given
-    cell = BLOCK if place.fractions is None else _CELL
+    cell = BLOCK if place.fractions is None else CELL
 
     def work(n: int) -> None:
         box, inside = blocks[n], slices_of(blocks[n])
