@@ -102,7 +102,8 @@ def test_samples_go_on_scattering(bias):
 
 def test_a_block_of_no_such_fraction_stays(bias):
     side = SIDE + 2 * MARGIN
-    dense = (np.random.default_rng(0).random((side,) * 3) < 0.9).astype(np.uint8)
+    dense = (field(7, (side,) * 3, 3) > -1.2).astype(np.uint8)
+    assert dense.mean() > bias.wanted.fraction + 1.5 * bias.wanted.above
     core = dense[(slice(MARGIN, -MARGIN),) * 3].copy()
     votes = np.zeros((1, *core.shape), np.int16)
     found = bias.mend(dense.copy(), votes, np.uint64(1), level=0.0, unit=UNIT)
