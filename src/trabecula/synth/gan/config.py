@@ -52,7 +52,7 @@ class GanConfig:
     voxels, are removed when material is made. 0 keeps them."""
 
     interface_rounds: int = 1
-    """Rounds over the voxels of interfaces, 0 or 1, when material is made: a voxel changes phase
+    """Rounds over the voxels of interfaces, 0 .. 1, when material is made: a voxel changes phase
     where that brings what the generator's patterns (chords, cubes of 2^3 voxels, neighbours) are
     off on average nearer to the exemplar's. Measured after the training, of volumes of two or three
     phases; anything else is made without."""
