@@ -352,9 +352,9 @@ def make_tiles(
         Changes voxels of tiles. Default: none are changed.
     """
     more = margin_cells(network.cell, specks=specks, flips=flips is not None)
-    own = slice(more * network.cell // 2, more * network.cell // 2 + CELLS * network.cell)
+    edge, margin = CELLS * network.cell, more * network.cell // 2
+    own = slice(margin, margin + edge)
     values = np.empty([last - first for first, last in box], dtype)
-    edge = CELLS * network.cell
     tiles = list(product(*(range(first // edge, -(-last // edge)) for first, last in box)))
     # One piece of work an item of `track`, so that there is progress; as many tiles as threads in
     # each.

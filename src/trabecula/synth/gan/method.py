@@ -155,17 +155,17 @@ class GanModel(WindowModel):
                 "the exemplar tells no patterns: give a volume of two or three phases, of at least "
                 f"{LEAST_VOXELS * len(present) ** 8} voxels"
             )
-        found = GanModel(config, self.facts, {**self.parts, "bias": bias})
-        found.name, found._device = self.name, self._device
-        return found
+        return self._varied(config, bias=bias)
 
     def unmatched(self) -> GanModel:
         """Return the same model, whose material stays as the generator makes it: as a page does in
         a browser. A last bit more or less then changes single voxels, and none around them.
         """
-        found = GanModel(
-            replace(self.config, interface_rounds=0), self.facts, {**self.parts, "bias": None}
-        )
+        return self._varied(replace(self.config, interface_rounds=0), bias=None)
+
+    def _varied(self, config: GanConfig, **parts: Any) -> GanModel:
+        """Return the same model with another config and some parts of its own."""
+        found = GanModel(config, self.facts, {**self.parts, **parts})
         found.name, found._device = self.name, self._device
         return found
 
@@ -187,8 +187,7 @@ class GanModel(WindowModel):
         need("torch", extra="learn", purpose="method 'gan'")
         from trabecula.synth.gan.train import find_device
 
-        found = GanModel(self.config, self.facts, self.parts)
-        found.name = self.name
+        found = self._varied(self.config)
         found._device = find_device(replace(self.config, device=device)).type
         return found
 

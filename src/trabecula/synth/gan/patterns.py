@@ -4,7 +4,7 @@ patterns are off on average.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -16,6 +16,7 @@ from trabecula.synth.gan.config import GanConfig
 from trabecula.synth.gan.decode import Flips, Given, decode, make_tiles
 from trabecula.synth.gan.local_fractions import LocalFractions
 from trabecula.synth.shared.content.fields import UNIT
+from trabecula.synth.shared.content.phase_fractions import places_of
 from trabecula.synth.shared.patterns.bias import PatternBias
 from trabecula.synth.shared.patterns.counts import LEAST_VOXELS, MOST_PHASES
 from trabecula.synth.shared.patterns.misfit import CELL
@@ -65,7 +66,7 @@ def learn_bias(
         or exemplar.values.size < LEAST_VOXELS * count**8
     ):
         return None
-    places = _places_of(present)
+    places = places_of(present)
     seed, periods = config.seed, (0, 0, 0)
     given: Given | None = None
     if local is not None:
@@ -97,7 +98,7 @@ def make_flips(
     moving fractions.
     """
     present = calibration["present"]
-    places, labels = _places_of(present), np.asarray(present, np.uint8)
+    places, labels = places_of(present), np.asarray(present, np.uint8)
     offsets = np.asarray(calibration["offsets"], np.float32)
     several = len(present) > 2
 
@@ -141,10 +142,3 @@ def split_arrays(
     if not kept:
         return weights, None
     return weights, PatternBias.from_parts(kept, plain["patterns"])
-
-
-def _places_of(present: Sequence[int]) -> np.ndarray:
-    """Return the phase, counted from 0, of every label, (256,) uint8."""
-    places = np.zeros(256, np.uint8)
-    places[list(present)] = np.arange(len(present))
-    return places

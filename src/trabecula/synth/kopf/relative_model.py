@@ -28,15 +28,16 @@ from trabecula.synth.kopf.relative import (
     is_seen_alike,
 )
 from trabecula.synth.shared import novel_layout
-from trabecula.synth.shared.content.fields import FULL, UNIT, quantise
-from trabecula.synth.shared.content.kinds import Labels, complete, content_of
-from trabecula.synth.shared.content.phase_fractions import labels_of_phases, phases_of
+from trabecula.synth.shared.content.fields import quantise
+from trabecula.synth.shared.content.kinds import Labels, content_of
+from trabecula.synth.shared.content.phase_fractions import phases_of
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Stack
 from trabecula.synth.shared.novel_schedule import LEAST, Pass, passes, start_of
 from trabecula.synth.shared.patterns.counts import LEAST_VOXELS, Patterns
 from trabecula.synth.shared.patterns.densities import PatternDensities
-from trabecula.synth.shared.patterns.flips import FlipRegion, flip_voxels, pattern_stages
+from trabecula.synth.shared.patterns.flips import FlipRegion, pattern_stages
+from trabecula.synth.shared.patterns.labels import match_patterns
 from trabecula.synth.shared.pyramid import fit_to, halve
 from trabecula.synth.shared.small_bodies import (
     SmallBodies,
@@ -157,17 +158,16 @@ class RelativeModel:
         report.
         """
         assert self.patterns is not None
-        phases, report = flip_voxels(
-            phases_of(values, content.present),
+        return match_patterns(
+            values,
             votes,
+            content,
+            request,
             self.patterns,
             FlipRegion(request.periodic, request.mask, request.mask),
-            seed=request.seed,
             rounds=self.settings.interface_rounds,
-            unit=FULL / self.settings.clip * UNIT,
+            clip=self.settings.clip,
         )
-        labels = labels_of_phases(phases, content.present)
-        return complete(labels, request, empty=content.empty), report
 
     def stages(self, request: Request, *, nbytes: int, mapped: bool = False) -> tuple[Stage, ...]:
         """Declare the arrays of a run whose result takes `nbytes`."""

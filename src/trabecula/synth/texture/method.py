@@ -31,7 +31,6 @@ from trabecula.synth.shared.coarse_to_fine import levels_for, levels_that_fit
 from trabecula.synth.shared.content.bounds import Bounds
 from trabecula.synth.shared.content.fields import (
     FULL,
-    UNIT,
     channels_of,
     isotropic_scale,
     quantise,
@@ -46,7 +45,7 @@ from trabecula.synth.shared.content.kinds import (
     content_of,
     free_voxels,
 )
-from trabecula.synth.shared.content.phase_fractions import labels_of_phases, phases_of
+from trabecula.synth.shared.content.phase_fractions import phases_of
 from trabecula.synth.shared.frames import frames_of
 from trabecula.synth.shared.held_fractions import (
     HeldFractions,
@@ -81,7 +80,8 @@ from trabecula.synth.shared.own_figures import (
 )
 from trabecula.synth.shared.patterns.counts import LEAST_VOXELS, MOST_PHASES
 from trabecula.synth.shared.patterns.densities import PatternDensities
-from trabecula.synth.shared.patterns.flips import FlipRegion, flip_voxels, pattern_stages
+from trabecula.synth.shared.patterns.flips import FlipRegion, pattern_stages
+from trabecula.synth.shared.patterns.labels import match_patterns
 from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve
 from trabecula.synth.shared.slabs import make_by_slabs
@@ -520,19 +520,17 @@ class TextureModel(Model):
         fractions, and a report.
         """
         assert isinstance(self.content, Labels)
-        present, graded = self.content.present, bool(request.target)
-        free = free_voxels(request)
-        phases, report = flip_voxels(
-            phases_of(values, present),
+        graded, free = bool(request.target), free_voxels(request)
+        return match_patterns(
+            values,
             votes,
+            self.content,
+            request,
             self._patterns_by_fraction if graded else self._patterns,
             FlipRegion(request.periodic, free, request.mask, graded, fractions),
-            seed=request.seed,
             rounds=self.config.interface_rounds,
-            unit=FULL / self.config.clip * UNIT,
+            clip=self.config.clip,
         )
-        labels = labels_of_phases(phases, present)
-        return complete(labels, request, empty=self.content.empty), report
 
     def _make_turned(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
         """Make material that follows an orientation or a size, from turned and scaled copies."""

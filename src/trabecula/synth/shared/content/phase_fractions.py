@@ -13,6 +13,7 @@ counts of the bids and nothing is sorted.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,9 +65,15 @@ def phases_of(labels: np.ndarray, present: tuple[int, ...]) -> np.ndarray:
     """
     if present == tuple(range(len(present))):
         return labels
-    place = np.zeros(256, np.uint8)
-    place[list(present)] = np.arange(len(present))
+    place = places_of(present)
     return make_by_slabs(lambda a, b: place[labels[a:b]], labels.shape, np.uint8)
+
+
+def places_of(present: Sequence[int]) -> np.ndarray:
+    """Return the phase, counted from 0, of every label, (256,) uint8."""
+    found = np.zeros(256, np.uint8)
+    found[list(present)] = np.arange(len(present))
+    return found
 
 
 def labels_of_phases(phases: np.ndarray, present: tuple[int, ...]) -> np.ndarray:

@@ -1,0 +1,51 @@
+"""Labels that end with flips: to phases and back, with what a request keeps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from trabecula.core.request import Request
+from trabecula.synth.shared.content.fields import FULL, UNIT
+from trabecula.synth.shared.content.kinds import Labels, complete
+from trabecula.synth.shared.content.phase_fractions import labels_of_phases, phases_of
+from trabecula.synth.shared.patterns.densities import PatternDensities
+from trabecula.synth.shared.patterns.flips import FlipRegion, flip_voxels
+
+
+def match_patterns(
+    values: np.ndarray,
+    votes: np.ndarray,
+    content: Labels,
+    request: Request,
+    patterns: PatternDensities,
+    place: FlipRegion,
+    *,
+    rounds: int,
+    clip: float,
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Return labels (Z, Y, X) with other patterns, and the report of `flip_voxels`.
+
+    Parameters
+    ----------
+    values : (Z, Y, X) uint8
+        Labels of a content, made for a request; they may be changed.
+    votes : (C, Z, Y, X) int16
+        Fields that they were made of.
+    patterns, place, rounds :
+        As `flip_voxels` takes them.
+    clip : float
+        Voxels at which the fields saturate.
+    """
+    phases, report = flip_voxels(
+        phases_of(values, content.present),
+        votes,
+        patterns,
+        place,
+        seed=request.seed,
+        rounds=rounds,
+        unit=FULL / clip * UNIT,
+    )
+    labels = labels_of_phases(phases, content.present)
+    return complete(labels, request, empty=content.empty), report
