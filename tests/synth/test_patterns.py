@@ -10,6 +10,7 @@ from trabecula.engine.parallel import threads
 from trabecula.measure.labelling import label_components
 from trabecula.synth.shared.patterns.counts import Bins, Patterns
 from trabecula.synth.shared.patterns.densities import PatternDensities
+from trabecula.synth.shared.patterns.excess import CELL, excess_of
 from trabecula.synth.shared.patterns.flips import FlipRegion, flip_voxels
 from trabecula.synth.shared.patterns.kernels import CHORDS, NEIGHBOURS, REACH, STRIDES
 
@@ -341,3 +342,42 @@ class TestTexture:
             model = tb.method("texture").fit(tb.crop(image, side))
             report = model.generate(64, seed=1).recipe.steps[-1]["report"]
             assert ("patterns" in report) == matched
+
+
+def test_the_excess_of_cells_is_that_of_the_windows_around_them():
+    """Against plain sums; a cell at the end is smaller."""
+    rng = np.random.default_rng(5)
+    phases = (rng.random((24, 30, 36)) < 0.4).astype(np.uint8)
+    fractions = rng.random(phases.shape).astype(np.float32)
+    free = rng.random(phases.shape) < 0.7
+    found = excess_of(phases, fractions, free, window=20)
+    cells = [range(0, side, CELL) for side in phases.shape]
+    off, voxels = (
+        {at: one[tuple(slice(a, a + CELL) for a in at)].sum() for at in product(*cells)}
+        for one in ((phases - fractions.astype(float)) * free, free)
+    )
+    for at in product(*cells):
+        weights = {
+            other: np.prod([max(0.0, 1 - abs(a - b) / 20) for a, b in zip(at, other, strict=True)])
+            for other in off
+        }
+        around = sum(weights[other] * off[other] for other in off)
+        room = sum(weights[other] * voxels[other] for other in off)
+        there = found[tuple(a // CELL for a in at)]
+        assert there[1] == pytest.approx(around / room * voxels[at], abs=0.51)
+        assert there[0] == -there[1]
+
+
+def test_where_the_target_varies_windows_come_nearer_to_it():
+    phases, votes = blobs(0, (80, 60, 60))
+    patterns = learn(grainy(blobs(1, (60, 60, 60))[0], 2, 0.2))
+    fractions = np.full(phases.shape, phases.mean(), np.float32)
+    fractions += np.linspace(-0.01, 0.01, 80, dtype=np.float32)[:, None, None]
+    place = FlipRegion(fractions=fractions, window=30)
+    made, _ = flip_voxels(phases, votes, patterns, place, seed=1, rounds=2, unit=UNIT)
+
+    def off(labels):
+        parts = (labels - fractions).reshape(4, 20, 3, 20, 3, 20).mean(axis=(1, 3, 5))
+        return np.abs(parts).mean()
+
+    assert off(made) < 0.8 * off(phases)

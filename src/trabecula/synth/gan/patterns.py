@@ -19,7 +19,7 @@ from trabecula.synth.shared.content.fields import UNIT
 from trabecula.synth.shared.content.phase_fractions import places_of
 from trabecula.synth.shared.patterns.bias import PatternBias
 from trabecula.synth.shared.patterns.counts import LEAST_VOXELS, MOST_PHASES
-from trabecula.synth.shared.patterns.misfit import CELL
+from trabecula.synth.shared.patterns.excess import CELL
 
 SIDE, LEAST_SIDE = 256, 64
 """Voxels a side of the material that is compared with the exemplar, and of that of a training of

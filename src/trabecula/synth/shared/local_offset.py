@@ -368,5 +368,6 @@ def _blend(votes, others, shares, offset, edge, wraps, whole, start, stop):
             _fill_row(offset, shares, edge, wraps, z, y, line, before, behind, share, row)
             for x in range(width):
                 part = min(np.square(row[x] / whole), one)
-                far = np.float32(np.int32(others[z, y, x]) - np.int32(votes[z, y, x]))
-                votes[z, y, x] += np.int16(np.rint(part * far))
+                here = np.int32(votes[z, y, x])
+                far = np.float32(np.int32(others[z, y, x]) - here)  # may leave the votes' range
+                votes[z, y, x] = here + np.int32(np.rint(part * far))

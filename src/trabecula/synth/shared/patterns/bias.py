@@ -17,6 +17,7 @@ import numpy as np
 
 from trabecula.synth.shared.patterns.counts import Bins
 from trabecula.synth.shared.patterns.densities import PatternDensities
+from trabecula.synth.shared.patterns.excess import kept_cells
 from trabecula.synth.shared.patterns.kernels import MARGIN, flip_block
 from trabecula.synth.shared.patterns.misfit import EFFORT, Misfit, steps_around
 
@@ -115,10 +116,11 @@ class PatternBias:
         else:
             more = 0.0
         off = self.own + more * self.slopes
+        phases = self.wanted.bins.phases
         misfit = Misfit(self.wanted.bins, core.size, target * core.size, off * core.size)
         flip_block(
             local,
-            self.wanted.bins.phases,
+            phases,
             _EVERYWHERE,
             np.zeros(3, np.int64),
             votes,
@@ -128,7 +130,7 @@ class PatternBias:
             0,
             *misfit.of_block(1.0),
             steps_around(local.shape),
-            cell or max(core.shape),
+            kept_cells(core.shape, phases, cell or max(core.shape)),
             np.zeros(self.wanted.bins.total, np.int64),
         )
         return core

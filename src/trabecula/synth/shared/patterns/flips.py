@@ -33,8 +33,9 @@ from trabecula.engine.memory import Array, Stage
 from trabecula.engine.parallel import thread_count
 from trabecula.synth.shared.patterns.counts import BLOCK, Patterns, cut_out, for_blocks
 from trabecula.synth.shared.patterns.densities import PatternDensities
+from trabecula.synth.shared.patterns.excess import CELL, cells_of, excess_of, kept_cells
 from trabecula.synth.shared.patterns.kernels import MARGIN, flip_block
-from trabecula.synth.shared.patterns.misfit import CELL, EFFORT, Misfit, steps_around
+from trabecula.synth.shared.patterns.misfit import EFFORT, Misfit, steps_around
 from trabecula.synth.shared.slabs import tally_by_slabs
 
 _BANDS, _BLOCKS = 6, 8  # bands of a target that varies, at most, and blocks of each, at least
@@ -60,6 +61,8 @@ class FlipRegion:
         Whether patterns are those of places of the exemplar with the fraction that is here.
     fractions : (Z, Y, X) float32, optional
         Of the second of two phases, as a target has them that varies.
+    window : int
+        Voxels a side of the windows that are to have these fractions.
     """
 
     wraps: Sequence[bool] = (False, False, False)
@@ -67,6 +70,7 @@ class FlipRegion:
     valid: np.ndarray | None = None
     graded: bool = False
     fractions: np.ndarray | None = None
+    window: int = 2 * CELL
 
     @property
     def fixed(self) -> np.ndarray | None:
@@ -90,8 +94,8 @@ def flip_voxels(
     of all patterns that were off before and are off after, and the share of voxels that are left
     alone, since the exemplar has no place of their fraction.
 
-    Every phase keeps its number of voxels, in every block, and in smaller cells where the target
-    varies.
+    Every phase keeps its number of voxels in every block. Where the target varies cells get as many
+    as bring windows to their fractions.
 
     Parameters
     ----------
@@ -190,7 +194,9 @@ def _round(
     free, valid = place.free, place.valid
     moving = _EVERYWHERE if free is None else free
     votes, level, effort, stage = given
-    cell = BLOCK if place.fractions is None else CELL
+    excess = None
+    if place.fractions is not None:
+        excess = excess_of(phases, place.fractions, free, window=place.window)
 
     def work(n: int) -> None:
         box, inside = blocks[n], slices_of(blocks[n])
@@ -201,6 +207,11 @@ def _round(
             return
         local = cut_out(phases, _EVERYWHERE if valid is None else valid, box, wraps)
         own = np.zeros(len(change), np.int64)
+        core = tuple(slice(MARGIN, side - MARGIN) for side in local.shape)
+        if excess is None:
+            cells = kept_cells(local[core].shape, band.bins.phases, BLOCK)
+        else:
+            cells = cells_of(excess, box)
         slopes, euler, euler_off, euler_weights = band.of_block(voxels / band.size)
         counts[n] = flip_block(
             local,
@@ -217,11 +228,11 @@ def _round(
             euler_off,
             euler_weights,
             steps_around(local.shape),
-            cell,
+            cells,
             own,
         )
-        core = local[tuple(slice(MARGIN, side - MARGIN) for side in local.shape)]
-        made[inside] = core if valid is None else np.where(valid[inside], core, phases[inside])
+        found = local[core]
+        made[inside] = found if valid is None else np.where(valid[inside], found, phases[inside])
         with lock:
             change += own
 

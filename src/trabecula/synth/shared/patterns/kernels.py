@@ -30,9 +30,6 @@ NEIGHBOURS = _FACES * _EDGES * _CORNERS
 _SMALL = 100
 """Voxels of a body below which none is cut off, joined or changed."""
 
-_HELD = 0.02
-"""What it costs that a block has one voxel more of a phase than before, by the square."""
-
 _strides = np.array(STRIDES)
 _MOST_BINS = 3 * 7 + len(STRIDES) * 16 + 54  # that one voxel changes
 
@@ -179,12 +176,12 @@ def flip_block(
     euler_misfit,
     euler_weights,
     steps,
-    cell,
+    cells,
     change,
 ):
     """Change voxels of the block where that brings patterns nearer to their target, each once, in
-    random order, in cells of so many voxels a side as many to every phase as from it. Return how
-    many.
+    random order. Return how many. `cells` are those of `excess`: changes bring no phase of a cell
+    above what it is to have.
 
     `slopes` (bins, 2) hold twice the misfit times its weight, and the weight, of the block's share,
     as what follows does of Euler numbers. They and the local array follow, and `change` (bins,) of
@@ -201,9 +198,6 @@ def flip_block(
     bins, by = np.empty(_MOST_BINS, np.int64), np.empty(_MOST_BINS, np.int64)
     grid = np.empty(27, np.int64)
     loops = np.zeros(len(euler), np.float64)
-    sides = (local.shape[1] - 2 * MARGIN) // cell + 1, (local.shape[2] - 2 * MARGIN) // cell + 1
-    cells = ((local.shape[0] - 2 * MARGIN) // cell + 1) * sides[0] * sides[1]
-    gained = np.zeros((cells, phases), np.int64)
     done, was = np.empty(len(spots), np.int64), np.empty(len(spots), np.uint8)
     now, height, width = 0, local.shape[1], local.shape[2]
     cubes = 3 * phases * CHORDS
@@ -219,8 +213,8 @@ def flip_block(
         if new == OUTSIDE:
             continue
         count = _changes(local, codes, z, y, x, new, phases, powers, grid, bins, by)
-        more = gained[_cell(z, y, x, cell, sides)]
-        energy = 2.0 * _HELD * (more[new] - more[own] + 1)
+        more = _gained(cells, z, y, x)
+        energy = 2.0 * cells.price * (more[new] - more[own] + 1)
         energy += effort * _depth(votes[:, at_z, at_y, at_x], own, new, level)
         loops[:] = 0
         for k in range(count):
@@ -254,7 +248,7 @@ def flip_block(
     for n in range(now - 1, -1, -1):
         spot = done[n]
         z, y, x = spot // (height * width), spot // width % height, spot % width
-        own, old, more = local[z, y, x], was[n], gained[_cell(z, y, x, cell, sides)]
+        own, old, more = local[z, y, x], was[n], _gained(cells, z, y, x)
         if more[own] <= 0:
             continue
         count = _changes(local, codes, z, y, x, old, phases, powers, grid, bins, by)
@@ -268,10 +262,10 @@ def flip_block(
 
 
 @inline
-def _cell(z, y, x, cell, sides):
-    """Return the number of the cell of a voxel of the block."""
-    place = (z - MARGIN) // cell, (y - MARGIN) // cell, (x - MARGIN) // cell
-    return (place[0] * sides[0] + place[1]) * sides[1] + place[2]
+def _gained(cells, z, y, x):
+    """Return what the cell of a voxel of the block has too many of each phase, (phases,)."""
+    width = cells.width
+    return cells.gained[(z - MARGIN) // width, (y - MARGIN) // width, (x - MARGIN) // width]
 
 
 @inline

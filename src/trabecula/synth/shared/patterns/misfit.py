@@ -14,9 +14,6 @@ from trabecula.synth.shared.patterns.counts import Bins
 EFFORT = 0.5
 """What a change costs of a voxel that the votes put a voxel away from the interface."""
 
-CELL = 10
-"""Voxels a side of what keeps its fraction where a target varies."""
-
 _NEIGHBOURS = 0.3  # weight of their misfit beside that of chords and cubes
 _EULER = 20.0  # of that of Euler numbers
 

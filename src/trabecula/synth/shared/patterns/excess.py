@@ -1,0 +1,100 @@
+"""Fractions that flips keep, or bring to a target: how many voxels of a phase cells have too many."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from trabecula.engine.chunking import Box
+from trabecula.engine.parallel import for_items
+
+CELL = 10
+"""Voxels a side of what meets its fraction where a target varies."""
+
+_KEPT, _MET = 0.02, 0.1  # prices: cells that are to change must be worth it
+
+
+class Cells(NamedTuple):
+    """Cells of a block, each with a fraction of its own.
+
+    Attributes
+    ----------
+    width : int
+        Voxels a side; a block begins with a whole one.
+    gained : (cells z, y, x, phases) int64
+        How many voxels a cell has too many of a phase.
+    price : float
+        Of one voxel, by the square.
+    """
+
+    width: int
+    gained: np.ndarray
+    price: float
+
+
+def kept_cells(shape: Sequence[int], phases: int, width: int) -> Cells:
+    """Return cells of a block that keep their fractions."""
+    sides = [-(-side // width) for side in shape]
+    return Cells(width, np.zeros([*sides, phases], np.int64), _KEPT)
+
+
+def cells_of(excess: np.ndarray, box: Box) -> Cells:
+    """Return the cells of a block of a volume whose excess is `excess_of`."""
+    inside = tuple(slice(first // CELL, -(-last // CELL)) for first, last in box)
+    return Cells(CELL, excess[inside].copy(), _MET)
+
+
+def excess_of(
+    phases: np.ndarray, fractions: np.ndarray, free: np.ndarray | None, *, window: int
+) -> np.ndarray:
+    """Return how many voxels each cell has too many of both phases, so that windows have their
+    fractions: (cells z, y, x, 2) int64.
+
+    A cell takes its part of what the windows that hold it are off, since in a window fractions vary
+    from cell to cell as they do in the material.
+
+    Parameters
+    ----------
+    phases : (Z, Y, X) uint8
+        0 and 1.
+    fractions : (Z, Y, X) float32
+        That the second phase is to have.
+    free : (Z, Y, X) bool, optional
+        Voxels that count. Default: all.
+    window : int
+        Voxels a side.
+    """
+    cells = [-(-side // CELL) for side in phases.shape]
+    off, voxels = np.zeros(cells), np.zeros(cells)
+
+    def work(start: int, stop: int) -> None:
+        for layer in range(start, stop):
+            part = slice(layer * CELL, (layer + 1) * CELL)
+            more = (phases[part] == 1) - fractions[part]
+            there = np.ones(more.shape, np.float32) if free is None else free[part]
+            off[layer] = _sums(more * there)
+            voxels[layer] = _sums(there)
+
+    for_items(work, cells[0])
+    rooms = np.maximum(_spread(voxels, window), 1)
+    second = np.rint(_spread(off, window) / rooms * voxels).astype(np.int64)
+    return np.stack([-second, second], axis=-1)
+
+
+def _sums(layer: np.ndarray) -> np.ndarray:
+    """Return the sums of the cells of a layer (z, Y, X)."""
+    rows = np.add.reduceat(
+        layer.sum(axis=0, dtype=np.float64), np.arange(0, layer.shape[1], CELL), axis=0
+    )
+    return np.add.reduceat(rows, np.arange(0, layer.shape[2], CELL), axis=1)
+
+
+def _spread(sums: np.ndarray, window: int) -> np.ndarray:
+    """Return the sums of cells over all windows that hold a cell, each by how many of them do."""
+    for axis, side in enumerate(sums.shape):
+        apart = CELL * np.abs(np.subtract.outer(np.arange(side), np.arange(side)))
+        weights = np.maximum(1 - apart / window, 0)
+        sums = np.moveaxis(np.tensordot(weights, sums, axes=(1, axis)), 0, axis)
+    return sums
