@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 import trabecula as tb
-from common import asked, busy, table
-from descriptors import scans
+from common import SCANS as FOLDER
+from common import asked, busy, pictures, table
+from descriptors import GREY, scans
 from forms import FORMS, made_form
 from texture import judged, reference_of
+from trabecula.view.slices import montage
 
 SIDE, EXEMPLAR = 100, 96
 HOLE = slice(26, 74)
@@ -60,6 +64,73 @@ def texture_joints() -> None:
                     copied = tb.measure.coherence(exemplar, new, k=(4,), samples=300)[4]
                     told = (*_told(made.values, case), f"{copied:.3f}", f"{seconds:.1f}")
                     row(f"{name}, {case}, {words}", seed, *told)
+
+
+def texture_grey_joints() -> None:
+    """The same of grey scans: a hole of 48^3 in 100^3, and 60 planes added to 40.
+
+    `joint` is the mean step between neighbours across the joint, over that within what was made.
+    The rest is at the exemplar's threshold: the share of its darker phase, Euler density over the
+    exemplar's, and what is copied.
+    """
+    heads = ("seed", "joint", "darker", "Euler", "coh(4)", "seconds")
+    row = table("scan, case", *heads, wide=36)
+    for name, scan in _grey_scans():
+        host = tb.crop(scan, SIDE, corner=[edge - SIDE for edge in scan.shape])
+        exemplar = tb.crop(scan, min(EXEMPLAR, *scan.shape), corner=(0, 0, 0))
+        solid = tb.segment(exemplar)
+        threshold = solid.recipe.steps[-1]["threshold"]
+        models = {
+            words: tb.method("texture", **settings).fit(exemplar)
+            for words, settings in SETTINGS.items()
+        }
+        shown = {"the scan": host}
+        for case, known in (("hole", _hole()), ("extension", _held())):
+            row(f"{name}, {case}, the scan", "", _grey_joint(host, case), "", "", "", "")
+            for words, model in models.items():
+                for seed in SEEDS:
+                    request = tb.Request(host.shape, seed=seed, fixed=host, known=known)
+                    seconds, made = busy(lambda m=model, r=request: m.generate(r))
+                    part = made.values[(HOLE,) * 3] if case == "hole" else made.values[HELD:]
+                    labels = tb.segment(
+                        tb.Image(np.ascontiguousarray(part), "grey", scan.spacing, scan.unit),
+                        threshold,
+                    )
+                    loops = tb.measure.euler_density(labels) / tb.measure.euler_density(solid)
+                    copied = tb.measure.coherence(solid, labels.values, k=(4,), samples=300)[4]
+                    row(
+                        f"{name}, {case}, {words}",
+                        seed,
+                        _grey_joint(made, case),
+                        f"{np.mean(labels.values == 0):.3f}",
+                        f"{loops:.2f}",
+                        f"{copied:.3f}",
+                        f"{seconds:.1f}",
+                    )
+                shown[f"{case}, {words}"] = made
+        if folder := pictures():
+            montage(list(shown.values()), list(shown), folder / f"texture-grey-joint-{name}.png")
+
+
+def _grey_scans() -> Iterator[tuple[str, tb.Image]]:
+    for name, (file, edge, unit) in GREY.items():
+        if (FOLDER / file).is_file() and name in (asked("ONLY") or GREY):
+            yield name, tb.read(FOLDER / file, spacing=edge, unit=unit, kind="grey")
+
+
+def _grey_joint(image: tb.Image, case: str) -> str:
+    """The mean step across the joint, over that of the voxels that are made."""
+    values = np.asarray(image.values, np.float32)
+    if case != "hole":
+        steps = np.abs(np.diff(values, axis=0)).mean(axis=(1, 2))
+        return f"{steps[HELD - 1] / steps[HELD:].mean():.2f}"
+    joint, inside = [], []
+    for axis in range(3):
+        turned = np.moveaxis(values, axis, 0)[:, HOLE, HOLE]
+        steps = np.abs(np.diff(turned, axis=0)).mean(axis=(1, 2))
+        joint += [steps[HOLE.start - 1], steps[HOLE.stop - 1]]
+        inside.append(steps[HOLE.start : HOLE.stop - 1].mean())
+    return f"{np.mean(joint) / np.mean(inside):.2f}"
 
 
 def packing_joints() -> None:

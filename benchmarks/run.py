@@ -113,6 +113,7 @@ CASES: dict[str, Callable[[], None]] = {
     "texture_histogram": texture_figures.texture_histogram,
     "texture_grey": texture_grey.texture_grey,
     "texture_joints": joints.texture_joints,
+    "texture_grey_joints": joints.texture_grey_joints,
     "packing_joints": joints.packing_joints,
     "texture_forms": forms.texture_forms,
     "packing": packing.packing,

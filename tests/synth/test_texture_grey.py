@@ -1,5 +1,7 @@
 """`texture` of scans: the structure is made as labels, then grey values or colours on it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -10,7 +12,9 @@ from trabecula.core.progress import listen
 from trabecula.engine import checkpoint, memmap
 from trabecula.engine.memory import forecast
 from trabecula.measure.correlation import two_point
+from trabecula.synth.shared import tiles
 from trabecula.synth.texture import grey_levels
+from trabecula.synth.texture.grey_beside import KnownLevels
 from trabecula.synth.texture.scan_phases import find_phases
 from trabecula.testing.peak import peak_bytes
 
@@ -118,12 +122,12 @@ def test_no_grain_is_copied(grey, made):
 @pytest.mark.whole
 def test_threads_files_and_interruptions_change_nothing(model, tmp_path, monkeypatch):
     monkeypatch.setattr(memmap, "SMALLEST", 64)
-    monkeypatch.setattr(grey_levels, "_TILE", 16)
+    monkeypatch.setattr(tiles, "TILE", 16)
     request = tb.Request(SHAPE, seed=3, periodic=(False, True, False))
     at_once, report = check_in_files(model, request, tmp_path)
     assert report["way"] == "structure, then grey values"
 
-    monkeypatch.setattr(grey_levels, "_TILE", 64)
+    monkeypatch.setattr(tiles, "TILE", 64)
     write_every_checkpoint(monkeypatch)
 
     def stop(label, done):
@@ -154,15 +158,83 @@ def test_a_form_is_filled(model):
     assert not values[~form].any() and np.all(values[form] > 0)
 
 
-def test_beside_fixed_voxels_patches_are_taken(model, grey):
-    known = np.zeros(SHAPE, bool)
-    known[:8] = True
-    values = np.zeros(SHAPE, np.uint8)
-    values[:8] = grey.values[:8, :36, :44]
-    fixed = tb.Image(values, "grey", grey.spacing, grey.unit)
-    made = model.generate(SHAPE, seed=2, fixed=fixed, known=known)
-    assert np.array_equal(made.values[known], values[known])
-    assert made.recipe.to_json()[-1]["report"]["way"] == "patches of the exemplar"
+def piece(image, shape=SHAPE, planes=16):
+    """The first planes of a scan in a larger volume, and where they are known."""
+    known = np.zeros(shape, bool)
+    known[:planes] = True
+    values = np.zeros((*shape, *image.values.shape[3:]), np.uint8)
+    values[:planes] = image.values[:planes, : shape[1], : shape[2]]
+    return tb.Image(values, image.kind, image.spacing, image.unit), known
+
+
+@pytest.mark.parametrize("kind", ["grey", "colour"])
+def test_beside_fixed_voxels_grey_values_are_new(kind, request, grey):
+    exemplar = request.getfixturevalue(kind)
+    fixed, known = piece(exemplar)
+    made = tb.method("texture").fit(exemplar).generate(SHAPE, seed=2, fixed=fixed, known=known)
+    assert np.array_equal(made.values[known], fixed.values[known])
+    assert made.recipe.to_json()[-1]["report"]["way"] == "structure, then grey values"
+    levels = made.values.reshape(*SHAPE, -1)[..., 0].astype(float)
+    steps = np.abs(np.diff(levels, axis=0)).mean(axis=(1, 2))
+    assert 0.75 * steps[20:].mean() < steps[15] < 1.3 * steps[20:].mean()
+    own = grey.values[:, : SHAPE[1], : SHAPE[2]].astype(float)
+    assert np.abs(levels[16:] - own[16 : SHAPE[0]]).mean() > 15, "not the scan's own continuation"
+
+
+@pytest.mark.whole
+def test_beside_fixed_voxels_threads_files_and_tiles_change_nothing(
+    model, grey, tmp_path, monkeypatch
+):
+    fixed, known = piece(grey)
+    monkeypatch.setattr(memmap, "SMALLEST", 64)
+    monkeypatch.setattr(tiles, "TILE", 16)
+    request = tb.Request(SHAPE, seed=3, fixed=fixed, known=known)
+    at_once, _ = check_in_files(model, request, tmp_path)
+    monkeypatch.setattr(tiles, "TILE", 64)
+    assert np.array_equal(model.compute(request)[0], at_once)
+
+
+@pytest.mark.whole
+def test_in_a_hole_and_a_form_beside_fixed_voxels(model, grey):
+    known = np.ones((48, 48, 48), bool)
+    known[8:40, 8:40, 8:40] = False
+    form = np.indices(known.shape)[0] < 44
+    made = model.generate(known.shape, seed=2, fixed=grey, known=known, mask=form)
+    assert made.recipe.to_json()[-1]["report"]["way"] == "structure, then grey values"
+    assert np.array_equal(made.values[known], grey.values[known])
+    hole = made.values[8:40, 8:40, 8:40]
+    assert np.all(hole > 0)
+    assert abs(np.mean(hole > 110) - np.mean(grey.values > 110)) < 0.06
+
+
+def test_known_levels_tell_the_structure_as_the_scan_does(model, grey):
+    """Of a scan that is smoothed for it: next to the joint no value beyond it plays a part."""
+    scan_phases = replace(model.painted.grey.scan, smooth=1.0)
+    fields = model.content.fields_of
+    whole = scan_phases.structure_of(fields(grey.values))
+    known = np.zeros(grey.shape, bool)
+    known[:30, 5:] = True
+    values = np.where(known, grey.values, 255)
+    found = KnownLevels(values, known, fields, (False,) * 3).structure(scan_phases)
+    inner = (slice(30 - scan_phases.reach), slice(5 + scan_phases.reach, None))
+    np.testing.assert_array_equal(found[inner], whole[inner])
+    beside = (29, slice(6, None))
+    assert np.mean(found[beside] != whole[beside]) < 0.06
+
+
+def test_what_known_levels_have_more_fades_beyond_the_joint():
+    known = np.zeros((20, 12, 80), bool)
+    known[..., :40] = True
+    values = np.where(known, 20.0, -99.0).astype(np.float32)
+    levels = np.full((1, *known.shape), 10.0, np.float32)
+    sigmas = [(s, s, s) for s in (4.0, 2.0, 1.0)]
+    beside = KnownLevels(values, known, lambda part: part[None], (False, False, False))
+    beside.continue_in(levels, sigmas)
+    line = levels[0, 10, 6]
+    assert np.all(line[:40] == 20)
+    assert 18 < line[40] < 20
+    assert np.all(np.diff(line[40:56]) <= 1e-4)
+    np.testing.assert_allclose(line[70:], 10, atol=1e-4)
 
 
 @pytest.mark.whole

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, product
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,8 @@ from trabecula.synth.shared.content.fields import FULL, UNIT
 from trabecula.synth.shared.gaussian.domain import domain_of
 from trabecula.synth.shared.gaussian.field import GaussianField
 from trabecula.synth.shared.gaussian.filters import Filter, fading_window, filter_of
+from trabecula.synth.shared.tiles import tile_voxels, tile_with_halo, tiles_of
+from trabecula.synth.texture.grey_beside import SCALES, KnownLevels
 from trabecula.synth.texture.scan_phases import NEAR, ScanPhases, luminance, weighted_sum
 
 _SCALES = (0.0, 0.7, 1.4, 2.8)  # voxels, of the Gaussians of the structure
@@ -47,7 +49,7 @@ _PAIRS = 200  # of a covariance: an offset with fewer pairs hardly counts
 _BANDS = 24  # of frequencies
 _TRIALS, _LEAST_GAIN = 2, 0.02
 _SHIFTS, _SPREAD, _HASTE = 2, 0.8, 2.0  # rounds, voxels, times the gap to the threshold
-_TILE = 64
+_BESIDE = 8  # arrays of a tile beside known levels
 _ROWS = 1 << 16  # voxels that the weights of products are fitted to, about
 
 Match = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -91,15 +93,19 @@ class GreyLevels:
         """Return the bytes of the filters."""
         return sum(one.values.nbytes for one in self.filters)
 
-    def paint(self, structure: np.ndarray, request: Request) -> np.ndarray:
+    def paint(
+        self, structure: np.ndarray, request: Request, known: KnownLevels | None = None
+    ) -> np.ndarray:
         """Return votes (C, Z, Y, X) int16 for a structure (Z, Y, X) uint8 of the request's shape
-        and periodic axes.
+        and periodic axes, beside known levels where there are some.
         """
         work = Workspace(self.stages(request))
         work.enter("expected levels")
         work.adopt("structure", structure)
         self._expect(work, request.periodic)
         self._add_residual(work, request)
+        if known is not None:
+            known.continue_in(work["levels"], [self._sigma(scale) for scale in SCALES])
         work.enter("shift")
         self._shift(work, request.periodic)
         return work.take("votes")
@@ -116,11 +122,15 @@ class GreyLevels:
         votes["votes"] = Array((channels, *shape), np.int16)
         tile = 4 * (2 + len(_SCALES) * (self.scan.count - 1) + 2 * channels)
         wide, far = self._reach(max(_SCALES)), self._shift_reach()
+        beside = 0
+        if request.known is not None:
+            reach = np.sum([self._reach(scale) for scale in SCALES], axis=0)
+            beside = 4 * (_BESIDE + 2 * channels) * tile_voxels(shape, reach)
         return (
-            Stage("expected levels", held, tile * _tile_voxels(shape, wide)),
+            Stage("expected levels", held, tile * tile_voxels(shape, wide)),
             *within(held, GaussianField(list(self.filters)).stages(shape)),
-            Stage("residual", held),
-            Stage("shift", votes, tile * _tile_voxels(shape, far)),
+            Stage("residual", held, beside),
+            Stage("shift", votes, tile * tile_voxels(shape, far)),
         )
 
     def _sigma(self, scale: float) -> tuple[float, ...]:
@@ -137,8 +147,8 @@ class GreyLevels:
     def _expect(self, work: Workspace, periodic: tuple[bool, ...]) -> None:
         """Write the expected levels, and the share of every phase but the first in 1 / 255."""
         structure, levels, shares = work["structure"], work.empty("levels"), work.empty("shares")
-        for tile in _tiles(structure.shape):
-            around, inner = _with_halo(structure, tile, self._reach(max(_SCALES)), periodic)
+        for tile in tiles_of(structure.shape):
+            around, inner = tile_with_halo(structure, tile, self._reach(max(_SCALES)), periodic)
             parts = [part[inner] for part in _gaussians(around, self.scan.count, self.edges)]
             for channel, weights in zip(levels, self.weights, strict=True):
                 channel[tile] = _expected(weights, parts)
@@ -173,10 +183,10 @@ class GreyLevels:
         """Write the votes: levels that lie on their phase's side of the thresholds."""
         structure, levels, votes = work["structure"], work["levels"], work.empty("votes")
         limit = FULL * UNIT
-        for tile in _tiles(structure.shape):
-            inside = _with_halo(structure, tile, self._shift_reach(), periodic)[0]
+        for tile in tiles_of(structure.shape):
+            inside = tile_with_halo(structure, tile, self._shift_reach(), periodic)[0]
             low, high = self.scan.bounds(inside)
-            parts = [_with_halo(one, tile, self._shift_reach(), periodic) for one in levels]
+            parts = [tile_with_halo(one, tile, self._shift_reach(), periodic) for one in levels]
             around, inner = np.stack([part for part, _ in parts]), parts[0][1]
             for _ in range(_SHIFTS):
                 smooth = gaussian(luminance(around), self._sigma(self.scan.smooth))
@@ -361,29 +371,3 @@ def _power(values: np.ndarray) -> np.ndarray:
 
 def _middle(array: np.ndarray) -> tuple[int, ...]:
     return tuple(side // 2 for side in array.shape)
-
-
-def _tiles(shape: Sequence[int]) -> Iterator[tuple[slice, ...]]:
-    """Yield boxes that fill a volume."""
-    cuts = ([slice(a, min(a + _TILE, side)) for a in range(0, side, _TILE)] for side in shape)
-    yield from product(*cuts)
-
-
-def _tile_voxels(shape: Sequence[int], reach: Sequence[int]) -> int:
-    """Count the voxels of a tile with its halo."""
-    sides = (min(_TILE, side) + 2 * far for side, far in zip(shape, reach, strict=True))
-    return int(np.prod(list(sides)))
-
-
-def _with_halo(
-    values: np.ndarray, tile: tuple[slice, ...], reach: Sequence[int], periodic: Sequence[bool]
-) -> tuple[np.ndarray, tuple[slice, ...]]:
-    """Return a tile of (Z, Y, X) with what is around it, and the tile's place therein; beyond an
-    open face the last voxel is repeated.
-    """
-    places, inner = [], []
-    for cut, far, wraps, side in zip(tile, reach, periodic, values.shape, strict=True):
-        place = np.arange(cut.start - far, cut.stop + far)
-        places.append(place % side if wraps else place.clip(0, side - 1))
-        inner.append(slice(far, far + cut.stop - cut.start))
-    return values[np.ix_(*places)], tuple(inner)

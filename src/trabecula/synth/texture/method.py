@@ -118,6 +118,7 @@ from trabecula.synth.texture.graded import (
     check_phases,
     target_fractions,
 )
+from trabecula.synth.texture.grey_beside import KnownLevels
 from trabecula.synth.texture.grey_levels import (
     GreyLevels,
     learn_levels,
@@ -369,8 +370,30 @@ class TextureModel(Model):
         """
         if not targets:
             return self.content.to_values(votes, request)
-        values = values_by_phase(votes, structure, targets, request.mask)
+        values = values_by_phase(votes, structure, targets, free_voxels(request))
         return complete(values, request, empty=0)
+
+    def _known_levels(self, request: Request) -> KnownLevels | None:
+        """Return the grey values or colours of a request that are known."""
+        if request.fixed is None or request.known is None:
+            return None
+        assert isinstance(self.content, Values)
+        fields = self.content.fields_of
+        return KnownLevels(request.fixed.values, request.known, fields, request.periodic)
+
+    def _structure_request(self, request: Request, known: KnownLevels | None) -> Request:
+        """Return what is asked of the structure of grey values or colours."""
+        if known is None or self.painted is None or request.fixed is None:
+            return replace(request, mask=None)
+        scan = self.painted.grey.scan
+        labels = with_values(
+            request.fixed,
+            known.structure(scan),
+            recipe=request.fixed.recipe,
+            kind="labels",
+            phases=_NAMES[scan.count],
+        )
+        return replace(request, mask=None, fixed=labels)
 
     def _quantise(self, field: np.ndarray, index: int) -> np.ndarray:
         """Round a field of level `index` to int8: a distance counts in the voxels of its level, a
@@ -433,8 +456,10 @@ class TextureModel(Model):
             return self._make_turned(request)
         new = self._makes_new(request)
         if new and self.painted is not None:
-            structure, made = self.painted.structure.make(replace(request, mask=None))
-            votes = self.painted.grey.paint(structure, request)
+            known = self._known_levels(request)
+            held = self._structure_request(request, known)
+            structure, made = self.painted.structure.make(held)
+            votes = self.painted.grey.paint(structure, request, known)
             values = self._values_on(votes, structure, request, self.painted.targets)
             phases = self.painted.grey.scan.count
             return values, {"way": _PAINTED, "phases": phases, **made}
@@ -742,7 +767,8 @@ class TextureModel(Model):
         if _is_field(request):
             held = self.config.grading == "held" and not is_sliced(self.config.layout)
             whole = whole and held and isinstance(self.content, Labels)
-        top = self._top_for(request) if self.painted is None else self.painted.structure.top
+        laid_out = self if self.painted is None else self.painted.structure
+        top = laid_out._top_for(request)
         if not top or not has_room(request.shape, top):
             return False
         if request.known is None:
@@ -750,8 +776,7 @@ class TextureModel(Model):
         takes = not request.target or (
             _is_field(request) and novel_layout.takes_steps(request, self.config.layout)
         )
-        laid_out = whole and takes and self.painted is None
-        return laid_out and has_room_beside(request.known, top)
+        return whole and takes and has_room_beside(request.known, top)
 
     def _check_request(self, request: Request) -> None:
         super()._check_request(request)
@@ -795,16 +820,18 @@ class TextureModel(Model):
         new = self._makes_new(request)
         if new and self.painted is not None:
             structure, grey = self.painted.structure, self.painted.grey
+            shape = request.shape
+            held = {"known phases": Array(shape, np.uint8) if request.fixed is not None else None}
             return (
-                *structure._stages(replace(request, mask=None), mapped=mapped),
-                *grey.stages(request),
+                *within(held, structure._stages(replace(request, mask=None), mapped=mapped)),
+                *within(held, grey.stages(request)),
                 *within(
-                    {"structure": Array(request.shape, np.uint8)},
+                    {**held, "structure": Array(shape, np.uint8)},
                     value_stages(
-                        replace(request, fixed=None, known=None),
-                        request.shape,
+                        request,
+                        shape,
                         grey.channels,
-                        nbytes=self.output_bytes(request) + int(np.prod(request.shape)),
+                        nbytes=self.output_bytes(request) + int(np.prod(shape)),
                         distances=False,
                     ),
                 ),

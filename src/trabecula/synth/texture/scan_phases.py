@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.exemplar.segment import otsu
-from trabecula.measure.smooth import gaussian
+from trabecula.measure.smooth import gaussian, reach_of
 
 NEAR = 2
 """Voxels to either side within which a transition between phases is completed."""
@@ -58,6 +58,12 @@ class ScanPhases:
     def count(self) -> int:
         """Count the phases."""
         return len(self.thresholds) + 1
+
+    @property
+    def reach(self) -> int:
+        """Return the voxels to either side that the phase of a voxel depends on."""
+        more = reach_of(_SMOOTH) + 1 if self.count > 2 else 0
+        return max(reach_of(self.smooth) + NEAR, more)
 
     def structure_of(self, field: np.ndarray) -> np.ndarray:
         """Return the phases (Z, Y, X) uint8 of a field (C, Z, Y, X)."""

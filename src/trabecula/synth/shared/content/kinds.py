@@ -266,14 +266,15 @@ class Values(Content):
         self.dtype = exemplars[0].values.dtype
 
     def fields(self, image: Image) -> np.ndarray:
-        return _deep(self._fields(image.values))
+        return _deep(self.fields_of(image.values))
 
     def bounds(self, request: Request, *, thin: bool = False, least: float = 0.0) -> Bounds | None:
         if request.fixed is None or request.known is None:
             return None
-        return value_bounds(self._fields, request.fixed.values, request.known)
+        return value_bounds(self.fields_of, request.fixed.values, request.known)
 
-    def _fields(self, values: np.ndarray) -> np.ndarray:
+    def fields_of(self, values: np.ndarray) -> np.ndarray:
+        """Return the fields (C, ...) float32 of grey values (...) or colours (..., 3)."""
         return value_fields(values, colour=self.kind == "colour", low=self.low, high=self.high)
 
     def to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
@@ -303,7 +304,7 @@ class FeaturedValues(Values):
     def bounds(self, request: Request, *, thin: bool = False, least: float = 0.0) -> Bounds | None:
         if request.fixed is None or request.known is None:
             return None
-        return value_bounds(self._fields, request.fixed.values, request.known, features=1)
+        return value_bounds(self.fields_of, request.fixed.values, request.known, features=1)
 
     def to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
         return super().to_values(votes[:-1], request)
