@@ -6,6 +6,7 @@ import pytest
 from trabecula.engine.chunking import boxes_of
 from trabecula.synth.shared.patterns.bias import PatternBias
 from trabecula.synth.shared.patterns.counts import Patterns, cut_out
+from trabecula.synth.shared.patterns.excess import kept_cells
 from trabecula.synth.shared.patterns.kernels import MARGIN
 
 SIDE = 32
@@ -46,8 +47,9 @@ def smooth(seed, bias=None, side=96, cell=None):
         local = cut_out(before, EVERYWHERE, box, HERE)
         inside = tuple(slice(first, last) for first, last in box)
         given = np.uint64(seed + n)
+        cells = cell and kept_cells([stop - start for start, stop in box], 2, cell)
         found[inside] = bias.mend(
-            local, votes[(0, *inside)][None], given, level=0.0, unit=UNIT, cell=cell
+            local, votes[(0, *inside)][None], given, level=0.0, unit=UNIT, cells=cells
         )
     return found
 

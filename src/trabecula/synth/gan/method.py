@@ -315,8 +315,24 @@ class GanModel(WindowModel):
         """Return what changes the tiles of a request in the end."""
         if self.bias is None:
             return None
-        graded = isinstance(porosity_of(request.target), np.ndarray)
-        return make_flips(self.bias, self.calibration, request.seed, graded=graded)
+        porosity, wanted = porosity_of(request.target), None
+        if isinstance(porosity, np.ndarray):
+            wanted = partial(self._fractions_around, request, porosity)
+        return make_flips(self.bias, self.calibration, request.seed, wanted=wanted)
+
+    def _fractions_around(
+        self, request: Request, porosity: np.ndarray, tile: tuple[int, ...], around: int
+    ) -> np.ndarray:
+        """Return a target's fractions (Z, Y, X) of the second phase in a tile and around it; beyond
+        a face that does not repeat the last are repeated.
+        """
+        edge = CELLS * self.config.cell
+        places = []
+        for place, side, wraps in zip(tile, request.shape, request.periodic, strict=True):
+            voxels = np.arange(place * edge - around, (place + 1) * edge + around)
+            places.append(voxels % side if wraps else voxels.clip(0, side - 1))
+        found = porosity[np.ix_(*places)]
+        return found if self._void_is_higher() else 1 - found
 
     def _given(self, request: Request, box: Box, periods: tuple[int, ...]) -> Given | None:
         """Return what gives the generator its local fractions: a random field, or the target's."""

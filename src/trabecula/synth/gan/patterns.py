@@ -4,7 +4,7 @@ patterns are off on average.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -19,7 +19,8 @@ from trabecula.synth.shared.content.fields import UNIT
 from trabecula.synth.shared.content.phase_fractions import places_of
 from trabecula.synth.shared.patterns.bias import PatternBias
 from trabecula.synth.shared.patterns.counts import LEAST_VOXELS, MOST_PHASES
-from trabecula.synth.shared.patterns.excess import CELL
+from trabecula.synth.shared.patterns.excess import cells_of, excess_of
+from trabecula.synth.shared.patterns.kernels import MARGIN
 
 SIDE, LEAST_SIDE = 256, 64
 """Voxels a side of the material that is compared with the exemplar, and of that of a training of
@@ -30,6 +31,13 @@ YOUNG = 300
 _WINDOW = 64  # of the parts of both that tell how patterns change with the fraction
 _SLOPE = 2  # voxels over the field tanh(voxels / 2), next to an interface
 _PREFIX = "patterns."
+_AROUND = 16  # voxels around a tile that tell what it has too much of
+_HELD_CELL, _HELD = 8, 20  # voxels a side of cells and of windows that a target holds
+
+Wanted = Callable[[tuple[int, ...], int], np.ndarray]
+"""Returns the fractions (Z, Y, X) of the second of two phases that a target has in a tile of the
+grid and so many voxels around it.
+"""
 
 
 def learn_bias(
@@ -92,26 +100,39 @@ def learn_bias(
 
 
 def make_flips(
-    bias: PatternBias, calibration: Mapping[str, Any], seed: int, *, graded: bool = False
+    bias: PatternBias,
+    calibration: Mapping[str, Any],
+    seed: int,
+    *,
+    wanted: Wanted | None = None,
 ) -> Flips:
-    """Return what changes the tiles of labels of a seed; where a target varies, `graded`, without
-    moving fractions.
+    """Return what changes the tiles of labels of a seed; where a target varies, towards the
+    fractions that are `wanted`.
     """
     present = calibration["present"]
     places, labels = places_of(present), np.asarray(present, np.uint8)
     offsets = np.asarray(calibration["offsets"], np.float32)
     several = len(present) > 2
+    room = MARGIN - _AROUND
+    inner = (slice(room, -room),) * 3
 
     def flips(values: np.ndarray, field: np.ndarray, tile: tuple[int, ...]) -> np.ndarray:
         z, y, x = tile
         depths = field + offsets[:, None, None, None] if several else field - offsets[0]
+        phases, cells = places[values], None
+        if wanted is not None:
+            off = excess_of(
+                phases[inner], wanted(tile, _AROUND), None, window=_HELD, width=_HELD_CELL
+            )
+            core = ((_AROUND, _AROUND + field.shape[1]),) * 3
+            cells = cells_of(off, core, _HELD_CELL)
         found: np.ndarray = bias.mend(
-            places[values],
+            phases,
             np.rint(depths * np.float32(_SLOPE * UNIT)).astype(np.int16),
             key(seed, f"gan/patterns/{z}/{y}/{x}"),
             level=0.0,
             unit=UNIT,
-            cell=CELL if graded else None,
+            cells=cells,
         )
         return labels[found]
 

@@ -552,9 +552,7 @@ class TextureModel(Model):
             self.content,
             request,
             self._patterns_by_fraction if graded else self._patterns,
-            FlipRegion(
-                request.periodic, free, request.mask, graded, fractions, self._held_width
-            ),
+            FlipRegion(request.periodic, free, request.mask, graded, fractions, self._held_width),
             rounds=self.config.interface_rounds,
             clip=self.config.clip,
         )

@@ -17,7 +17,7 @@ import numpy as np
 
 from trabecula.synth.shared.patterns.counts import Bins
 from trabecula.synth.shared.patterns.densities import PatternDensities
-from trabecula.synth.shared.patterns.excess import kept_cells
+from trabecula.synth.shared.patterns.excess import FractionCells, kept_cells
 from trabecula.synth.shared.patterns.kernels import MARGIN, flip_block
 from trabecula.synth.shared.patterns.misfit import EFFORT, Misfit, steps_around
 
@@ -85,10 +85,10 @@ class PatternBias:
         *,
         level: float,
         unit: float,
-        cell: int | None = None,
+        cells: FractionCells | None = None,
     ) -> np.ndarray:
         """Return the phases (Z, Y, X) uint8 of a block that are changed; as they were where the
-        exemplars have no place of such a fraction. Every phase keeps its number of voxels.
+        exemplars have no place of such a fraction.
 
         Parameters
         ----------
@@ -102,8 +102,8 @@ class PatternBias:
             Of the votes where the second of two phases begins.
         unit : float
             Of the votes in a voxel.
-        cell : int, optional
-            Voxels a side of the parts that keep their fractions. Default: the block as a whole.
+        cells : FractionCells, optional
+            Of the block. Default: it keeps its fraction as a whole.
         """
         core = local[(slice(MARGIN, -MARGIN),) * 3]
         more = float(np.mean(core == 1)) - self.wanted.fraction
@@ -117,6 +117,8 @@ class PatternBias:
             more = 0.0
         off = self.own + more * self.slopes
         phases = self.wanted.bins.phases
+        if cells is None:
+            cells = kept_cells(core.shape, phases, max(core.shape))
         misfit = Misfit(self.wanted.bins, core.size, target * core.size, off * core.size)
         flip_block(
             local,
@@ -130,7 +132,7 @@ class PatternBias:
             0,
             *misfit.of_block(1.0),
             steps_around(local.shape),
-            kept_cells(core.shape, phases, cell or max(core.shape)),
+            cells,
             np.zeros(self.wanted.bins.total, np.int64),
         )
         return core

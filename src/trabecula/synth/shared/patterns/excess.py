@@ -1,4 +1,4 @@
-"""Fractions that flips keep, or bring to a target: how many voxels of a phase cells have too many."""
+"""Fractions that flips keep, or bring to a target: what cells have too much of a phase."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ CELL = 10
 _KEPT, _MET = 0.02, 0.1  # prices: cells that are to change must be worth it
 
 
-class Cells(NamedTuple):
-    """Cells of a block, each with a fraction of its own.
+class FractionCells(NamedTuple):
+    """FractionCells of a block, each with a fraction of its own.
 
     Attributes
     ----------
@@ -34,20 +34,25 @@ class Cells(NamedTuple):
     price: float
 
 
-def kept_cells(shape: Sequence[int], phases: int, width: int) -> Cells:
+def kept_cells(shape: Sequence[int], phases: int, width: int) -> FractionCells:
     """Return cells of a block that keep their fractions."""
     sides = [-(-side // width) for side in shape]
-    return Cells(width, np.zeros([*sides, phases], np.int64), _KEPT)
+    return FractionCells(width, np.zeros([*sides, phases], np.int64), _KEPT)
 
 
-def cells_of(excess: np.ndarray, box: Box) -> Cells:
+def cells_of(excess: np.ndarray, box: Box, width: int = CELL) -> FractionCells:
     """Return the cells of a block of a volume whose excess is `excess_of`."""
-    inside = tuple(slice(first // CELL, -(-last // CELL)) for first, last in box)
-    return Cells(CELL, excess[inside].copy(), _MET)
+    inside = tuple(slice(first // width, -(-last // width)) for first, last in box)
+    return FractionCells(width, excess[inside].copy(), _MET)
 
 
 def excess_of(
-    phases: np.ndarray, fractions: np.ndarray, free: np.ndarray | None, *, window: int
+    phases: np.ndarray,
+    fractions: np.ndarray,
+    free: np.ndarray | None,
+    *,
+    window: int,
+    width: int = CELL,
 ) -> np.ndarray:
     """Return how many voxels each cell has too many of both phases, so that windows have their
     fractions: (cells z, y, x, 2) int64.
@@ -63,38 +68,39 @@ def excess_of(
         That the second phase is to have.
     free : (Z, Y, X) bool, optional
         Voxels that count. Default: all.
-    window : int
-        Voxels a side.
+    window, width : int
+        Voxels a side of windows, and of cells.
     """
-    cells = [-(-side // CELL) for side in phases.shape]
+    cells = [-(-side // width) for side in phases.shape]
     off, voxels = np.zeros(cells), np.zeros(cells)
 
     def work(start: int, stop: int) -> None:
         for layer in range(start, stop):
-            part = slice(layer * CELL, (layer + 1) * CELL)
+            part = slice(layer * width, (layer + 1) * width)
             more = (phases[part] == 1) - fractions[part]
             there = np.ones(more.shape, np.float32) if free is None else free[part]
-            off[layer] = _sums(more * there)
-            voxels[layer] = _sums(there)
+            off[layer] = _sums(more * there, width)
+            voxels[layer] = _sums(there, width)
 
     for_items(work, cells[0])
-    rooms = np.maximum(_spread(voxels, window), 1)
-    second = np.rint(_spread(off, window) / rooms * voxels).astype(np.int64)
+    rooms = np.maximum(_spread(voxels, window / width), 1)
+    second = np.rint(_spread(off, window / width) / rooms * voxels).astype(np.int64)
     return np.stack([-second, second], axis=-1)
 
 
-def _sums(layer: np.ndarray) -> np.ndarray:
+def _sums(layer: np.ndarray, width: int) -> np.ndarray:
     """Return the sums of the cells of a layer (z, Y, X)."""
-    rows = np.add.reduceat(
-        layer.sum(axis=0, dtype=np.float64), np.arange(0, layer.shape[1], CELL), axis=0
-    )
-    return np.add.reduceat(rows, np.arange(0, layer.shape[2], CELL), axis=1)
+    flat = layer.sum(axis=0, dtype=np.float64)
+    rows = np.add.reduceat(flat, np.arange(0, flat.shape[0], width), axis=0)
+    return np.add.reduceat(rows, np.arange(0, flat.shape[1], width), axis=1)
 
 
-def _spread(sums: np.ndarray, window: int) -> np.ndarray:
-    """Return the sums of cells over all windows that hold a cell, each by how many of them do."""
+def _spread(sums: np.ndarray, window: float) -> np.ndarray:
+    """Return the sums of cells over all windows, of so many cells a side, that hold a cell, each by
+    how many of them do.
+    """
     for axis, side in enumerate(sums.shape):
-        apart = CELL * np.abs(np.subtract.outer(np.arange(side), np.arange(side)))
+        apart = np.abs(np.subtract.outer(np.arange(side), np.arange(side)))
         weights = np.maximum(1 - apart / window, 0)
         sums = np.moveaxis(np.tensordot(weights, sums, axes=(1, axis)), 0, axis)
     return sums
