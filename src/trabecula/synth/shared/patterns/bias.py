@@ -132,7 +132,7 @@ class PatternBias:
             0,
             *misfit.of_block(1.0),
             steps_around(local.shape),
-            cells,
+            tuple(cells),
             np.zeros(self.wanted.bins.total, np.int64),
         )
         return core

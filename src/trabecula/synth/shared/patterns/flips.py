@@ -228,7 +228,7 @@ def _round(
             euler_off,
             euler_weights,
             steps_around(local.shape),
-            cells,
+            tuple(cells),
             own,
         )
         found = local[core]

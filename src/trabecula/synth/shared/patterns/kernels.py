@@ -180,8 +180,8 @@ def flip_block(
     change,
 ):
     """Change voxels of the block where that brings patterns nearer to their target, each once, in
-    random order. Return how many. `cells` are those of `excess`: changes bring no phase of a cell
-    above what it is to have.
+    random order. Return how many. `cells` are width, excess and price of `FractionCells`: changes
+    bring no phase of a cell above what it is to have.
 
     `slopes` (bins, 2) hold twice the misfit times its weight, and the weight, of the block's share,
     as what follows does of Euler numbers. They and the local array follow, and `change` (bins,) of
@@ -200,6 +200,7 @@ def flip_block(
     loops = np.zeros(len(euler), np.float64)
     done, was = np.empty(len(spots), np.int64), np.empty(len(spots), np.uint8)
     now, height, width = 0, local.shape[1], local.shape[2]
+    side, gained, price = cells
     cubes = 3 * phases * CHORDS
     combinations = powers[7] * phases
     for n in range(len(spots)):
@@ -213,8 +214,8 @@ def flip_block(
         if new == OUTSIDE:
             continue
         count = _changes(local, codes, z, y, x, new, phases, powers, grid, bins, by)
-        more = _gained(cells, z, y, x)
-        energy = 2.0 * cells.price * (more[new] - more[own] + 1)
+        more = _gained(gained, side, z, y, x)
+        energy = 2.0 * price * (more[new] - more[own] + 1)
         energy += effort * _depth(votes[:, at_z, at_y, at_x], own, new, level)
         loops[:] = 0
         for k in range(count):
@@ -248,7 +249,7 @@ def flip_block(
     for n in range(now - 1, -1, -1):
         spot = done[n]
         z, y, x = spot // (height * width), spot // width % height, spot % width
-        own, old, more = local[z, y, x], was[n], _gained(cells, z, y, x)
+        own, old, more = local[z, y, x], was[n], _gained(gained, side, z, y, x)
         if more[own] <= 0:
             continue
         count = _changes(local, codes, z, y, x, old, phases, powers, grid, bins, by)
@@ -262,10 +263,9 @@ def flip_block(
 
 
 @inline
-def _gained(cells, z, y, x):
+def _gained(gained, side, z, y, x):
     """Return what the cell of a voxel of the block has too many of each phase, (phases,)."""
-    width = cells.width
-    return cells.gained[(z - MARGIN) // width, (y - MARGIN) // width, (x - MARGIN) // width]
+    return gained[(z - MARGIN) // side, (y - MARGIN) // side, (x - MARGIN) // side]
 
 
 @inline
