@@ -302,3 +302,13 @@ def test_the_forecasts_hold(model, grey, colour):
         arrays = plan.peak - plan.memory["interpreter and kernels"]
         peak = peak_bytes(lambda method=method, exemplar=exemplar: method.fit(exemplar))
         assert peak <= arrays <= 1.5 * peak, exemplar.kind
+
+
+def test_the_forecast_beside_fixed_voxels_holds(model, grey):
+    fixed, known = piece(grey)
+    request = tb.Request(SHAPE, seed=1, fixed=fixed, known=known)
+    levels, structure = model.painted.grey, np.zeros(SHAPE, np.uint8)
+    beside = KnownLevels(fixed.values, known, model.content.fields_of, request.periodic)
+    arrays = forecast(levels.stages(request), {}).peak
+    peak = peak_bytes(lambda: levels.paint(structure, request, beside)) + structure.nbytes
+    assert peak <= arrays <= 1.5 * peak

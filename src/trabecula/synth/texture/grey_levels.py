@@ -49,7 +49,7 @@ _PAIRS = 200  # of a covariance: an offset with fewer pairs hardly counts
 _BANDS = 24  # of frequencies
 _TRIALS, _LEAST_GAIN = 2, 0.02
 _SHIFTS, _SPREAD, _HASTE = 2, 0.8, 2.0  # rounds, voxels, times the gap to the threshold
-_BESIDE = 8  # arrays of a tile beside known levels
+_BESIDE = 12  # arrays of a tile beside known levels
 _ROWS = 1 << 16  # voxels that the weights of products are fitted to, about
 
 Match = Callable[[np.ndarray, np.ndarray], np.ndarray]
