@@ -17,7 +17,7 @@ _KEPT, _MET = 0.02, 0.1  # prices: cells that are to change must be worth it
 
 
 class FractionCells(NamedTuple):
-    """FractionCells of a block, each with a fraction of its own.
+    """Cells of a block, each with a fraction of its own.
 
     Attributes
     ----------
@@ -99,8 +99,11 @@ def _spread(sums: np.ndarray, window: float) -> np.ndarray:
     """Return the sums of cells over all windows, of so many cells a side, that hold a cell, each by
     how many of them do.
     """
-    for axis, side in enumerate(sums.shape):
-        apart = np.abs(np.subtract.outer(np.arange(side), np.arange(side)))
-        weights = np.maximum(1 - apart / window, 0)
-        sums = np.moveaxis(np.tensordot(weights, sums, axes=(1, axis)), 0, axis)
+    for axis in range(sums.ndim):
+        found, lines = sums.copy(), np.moveaxis(sums, axis, 0)
+        to = np.moveaxis(found, axis, 0)
+        for far in range(1, min(int(np.ceil(window)), len(lines))):
+            to[far:] += (1 - far / window) * lines[:-far]
+            to[:-far] += (1 - far / window) * lines[far:]
+        sums = found
     return sums
