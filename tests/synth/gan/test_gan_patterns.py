@@ -142,4 +142,4 @@ def test_beside_a_field_boxes_agree_and_windows_come_nearer_to_it():
         void = (values == 0)[:120] - field[:120]
         return np.abs(void.reshape(6, 20, 3, 20, 3, 20).mean(axis=(1, 3, 5))).mean()
 
-    assert off(whole) < 0.9 * off(model.unmatched().generate(request).values)
+    assert off(whole) < 0.95 * off(model.unmatched().generate(request).values)
