@@ -35,6 +35,7 @@ LEARNT_FROM = {
     "berea": "Berea",
     "nmc": "NMC",
     "cement": "cement",
+    "electrode": "electrode, 3 phases",
 }
 PICTURED = ("soil, Otsu", "NMC", "Berea", "cement, Otsu", "bone a", "polymer fibres, Otsu")
 PICTURED_SIDE = 96
