@@ -34,6 +34,7 @@ from trabecula.synth.shared.patterns.bias import PatternBias
 from trabecula.synth.shared.patterns.counts import LEAST_VOXELS
 from trabecula.synth.shared.patterns.flips import LOCAL
 from trabecula.synth.shared.pictures import check_pictures_agree
+from trabecula.synth.shared.tiles import tile_with_halo
 
 PROCESS = 485 << 20
 """Bytes of the interpreter with NumPy, Numba and torch loaded."""
@@ -327,11 +328,8 @@ class GanModel(WindowModel):
         a face that does not repeat the last are repeated.
         """
         edge = CELLS * self.config.cell
-        places = []
-        for place, side, wraps in zip(tile, request.shape, request.periodic, strict=True):
-            voxels = np.arange(place * edge - around, (place + 1) * edge + around)
-            places.append(voxels % side if wraps else voxels.clip(0, side - 1))
-        found = porosity[np.ix_(*places)]
+        inside = tuple(slice(place * edge, (place + 1) * edge) for place in tile)
+        found, _ = tile_with_halo(porosity, inside, (around,) * 3, request.periodic)
         return found if self._void_is_higher() else 1 - found
 
     def _given(self, request: Request, box: Box, periods: tuple[int, ...]) -> Given | None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trabecula.engine.chunking import Box
-from trabecula.engine.parallel import for_items
+from trabecula.engine.parallel import for_slabs
 
 CELL = 10
 """Voxels a side of what meets its fraction where a target varies."""
@@ -71,28 +71,31 @@ def excess_of(
     window, width : int
         Voxels a side of windows, and of cells.
     """
-    cells = [-(-side // width) for side in phases.shape]
-    off, voxels = np.zeros(cells), np.zeros(cells)
+    depth, *rest = phases.shape
+    planes = (depth, *(-(-side // width) for side in rest))
+    off, voxels = np.zeros(planes), np.zeros(planes)
 
     def work(start: int, stop: int) -> None:
-        for layer in range(start, stop):
-            part = slice(layer * width, (layer + 1) * width)
-            more = (phases[part] == 1) - fractions[part]
-            there = np.ones(more.shape, np.float32) if free is None else free[part]
-            off[layer] = _sums(more * there, width)
-            voxels[layer] = _sums(there, width)
+        for z in range(start, stop):
+            more = (phases[z] == 1) - fractions[z]
+            there = np.ones(more.shape, np.float32) if free is None else free[z]
+            off[z] = _sums(more * there, width)
+            voxels[z] = _sums(there, width)
 
-    for_items(work, cells[0])
+    for_slabs(work, depth)
+    layers = np.arange(0, depth, width)
+    off, voxels = (np.add.reduceat(one, layers, axis=0) for one in (off, voxels))
     rooms = np.maximum(_spread(voxels, window / width), 1)
     second = np.rint(_spread(off, window / width) / rooms * voxels).astype(np.int64)
     return np.stack([-second, second], axis=-1)
 
 
-def _sums(layer: np.ndarray, width: int) -> np.ndarray:
-    """Return the sums of the cells of a layer (z, Y, X)."""
-    flat = layer.sum(axis=0, dtype=np.float64)
-    rows = np.add.reduceat(flat, np.arange(0, flat.shape[0], width), axis=0)
-    return np.add.reduceat(rows, np.arange(0, flat.shape[1], width), axis=1)
+def _sums(plane: np.ndarray, width: int) -> np.ndarray:
+    """Return the sums of the cells of a plane (Y, X)."""
+    starts = (np.arange(0, side, width) for side in plane.shape)
+    for axis, first in enumerate(starts):
+        plane = np.add.reduceat(plane, first, axis=axis, dtype=np.float64)
+    return plane
 
 
 def _spread(sums: np.ndarray, window: float) -> np.ndarray:
