@@ -37,11 +37,11 @@ def graded_bone_fields() -> None:
     and a drawn one, 96 x 96 x 128; by `texture`, or by the methods of TRABECULA_BENCH_METHODS
     (`gan`: the shipped model of bone a).
 
-    `frac`: fraction of windows of 20^3 less the field's mean in them. Of each figure: mean ratio of
-    windows of 40^3 to the scan's windows of equal fraction, and the share of them within 2.6
-    standard deviations of those.
+    `frac`: fraction of windows of 20^3 less the field's mean in them, and of the whole. Of each
+    figure: mean ratio of windows of 40^3 to the scan's windows of equal fraction, and the share of
+    them within 2.6 standard deviations of those.
     """
-    row = table("case", "frac mean", "frac max", "parts", *FIGURES, "seconds", wide=34)
+    row = table("case", "frac mean", "frac max", "whole", "parts", *FIGURES, "seconds", wide=34)
     every = scans()
     for name in (bone for bone in BONES if bone in every):
         scan = every[name]
@@ -65,6 +65,7 @@ def graded_bone_fields() -> None:
                     f"{name}, {kind}, {method}",
                     f"{off.mean():.4f}",
                     f"{off.max():.4f}",
+                    f"{made.values.mean() - field.mean(dtype=float):+.4f}",
                     tb.measure.components(made),
                     *beside(figures_of(np.asarray(made.values), step=28), own),
                     f"{seconds:.1f}",

@@ -344,27 +344,35 @@ class TestTexture:
             assert ("patterns" in report) == matched
 
 
-def test_the_excess_of_cells_is_that_of_the_windows_around_them():
-    """Against plain sums; a cell at the end is smaller."""
+@pytest.mark.parametrize("endless", [False, True])
+def test_the_excess_of_cells_is_that_of_the_windows_around_them(endless):
+    """Against plain sums; a cell at the end is smaller, and the whole has what it has too many."""
     rng = np.random.default_rng(5)
-    phases = (rng.random((24, 30, 36)) < 0.4).astype(np.uint8)
+    phases = (rng.random((24, 50, 36)) < 0.4).astype(np.uint8)
     fractions = rng.random(phases.shape).astype(np.float32)
     free = rng.random(phases.shape) < 0.7
-    found = excess_of(phases, fractions, free, window=20)
+    found = excess_of(phases, fractions, free, window=20, wraps=(False, endless, False))
     cells = [range(0, side, CELL) for side in phases.shape]
     off, voxels = (
         {at: one[tuple(slice(a, a + CELL) for a in at)].sum() for at in product(*cells)}
         for one in ((phases - fractions.astype(float)) * free, free)
     )
+
+    def weight(at, other):
+        far = np.abs(np.subtract(at, other))
+        if endless:
+            far[1] = min(far[1], 50 - far[1])
+        return np.prod(np.maximum(0.0, 1 - far / 20))
+
+    share = {}
     for at in product(*cells):
-        weights = {
-            other: np.prod([max(0.0, 1 - abs(a - b) / 20) for a, b in zip(at, other, strict=True)])
-            for other in off
-        }
+        weights = {other: weight(at, other) for other in off}
         around = sum(weights[other] * off[other] for other in off)
-        room = sum(weights[other] * voxels[other] for other in off)
+        share[at] = around / sum(weights[other] * voxels[other] for other in off)
+    left = sum(off[at] - share[at] * voxels[at] for at in off) / sum(voxels.values())
+    for at in product(*cells):
         there = found[tuple(a // CELL for a in at)]
-        assert there[1] == pytest.approx(around / room * voxels[at], abs=0.51)
+        assert there[1] == pytest.approx((share[at] + left) * voxels[at], abs=0.51)
         assert there[0] == -there[1]
 
 
@@ -381,3 +389,15 @@ def test_where_the_target_varies_windows_come_nearer_to_it():
         return np.abs(parts).mean()
 
     assert off(made) < 0.8 * off(phases)
+
+
+def test_where_the_target_varies_the_whole_has_its_fraction():
+    """Also where a dense end lets voxels go and a sparse one has no interface to gain them."""
+    phases, votes = blobs(0, (40, 40, 40))
+    votes[:, 20:], phases[20:] = votes.min(), 0
+    patterns = learn(grainy(blobs(1, (60, 60, 60))[0], 2, 0.2))
+    fractions = np.full(phases.shape, phases.mean(), np.float32)
+    place = FlipRegion(fractions=fractions)
+    made, _ = flip_voxels(phases, votes, patterns, place, seed=1, rounds=2, unit=UNIT)
+    assert np.count_nonzero(made != phases) > 100
+    assert made.mean() == pytest.approx(phases.mean(), abs=2e-4)

@@ -53,12 +53,13 @@ def excess_of(
     *,
     window: int,
     width: int = CELL,
+    wraps: Sequence[bool] = (False, False, False),
 ) -> np.ndarray:
     """Return how many voxels each cell has too many of both phases, so that windows have their
     fractions: (cells z, y, x, 2) int64.
 
     A cell takes its part of what the windows that hold it are off, since in a window fractions vary
-    from cell to cell as they do in the material.
+    from cell to cell as they do in the material. In all they have as many too many as there are.
 
     Parameters
     ----------
@@ -70,6 +71,8 @@ def excess_of(
         Voxels that count. Default: all.
     window, width : int
         Voxels a side of windows, and of cells.
+    wraps : three bools
+        Axes along which windows continue at the opposite face.
     """
     depth, *rest = phases.shape
     planes = (depth, *(-(-side // width) for side in rest))
@@ -85,8 +88,10 @@ def excess_of(
     for_slabs(work, depth)
     layers = np.arange(0, depth, width)
     off, voxels = (np.add.reduceat(one, layers, axis=0) for one in (off, voxels))
-    rooms = np.maximum(_spread(voxels, window / width), 1)
-    second = np.rint(_spread(off, window / width) / rooms * voxels).astype(np.int64)
+    given = (window / width, wraps)
+    share = _spread(off, *given) / np.maximum(_spread(voxels, *given), 1)
+    share += np.sum(off - share * voxels) / max(voxels.sum(), 1)  # windows at faces count more
+    second = np.rint(share * voxels).astype(np.int64)
     return np.stack([-second, second], axis=-1)
 
 
@@ -98,15 +103,19 @@ def _sums(plane: np.ndarray, width: int) -> np.ndarray:
     return plane
 
 
-def _spread(sums: np.ndarray, window: float) -> np.ndarray:
+def _spread(sums: np.ndarray, window: float, wraps: Sequence[bool]) -> np.ndarray:
     """Return the sums of cells over all windows, of so many cells a side, that hold a cell, each by
     how many of them do.
     """
-    for axis in range(sums.ndim):
+    for axis, endless in enumerate(wraps):
         found, lines = sums.copy(), np.moveaxis(sums, axis, 0)
         to = np.moveaxis(found, axis, 0)
         for far in range(1, min(int(np.ceil(window)), len(lines))):
-            to[far:] += (1 - far / window) * lines[:-far]
-            to[:-far] += (1 - far / window) * lines[far:]
+            weight = 1 - far / window
+            to[far:] += weight * lines[:-far]
+            to[:-far] += weight * lines[far:]
+            if endless:
+                to[:far] += weight * lines[-far:]
+                to[-far:] += weight * lines[:far]
         sums = found
     return sums

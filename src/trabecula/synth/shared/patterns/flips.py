@@ -196,7 +196,7 @@ def _round(
     votes, level, effort, stage = given
     excess = None
     if place.fractions is not None:
-        excess = excess_of(phases, place.fractions, free, window=place.window)
+        excess = excess_of(phases, place.fractions, free, window=place.window, wraps=place.wraps)
 
     def work(n: int) -> None:
         box, inside = blocks[n], slices_of(blocks[n])

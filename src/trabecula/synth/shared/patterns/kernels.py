@@ -181,7 +181,7 @@ def flip_block(
 ):
     """Change voxels of the block where that brings patterns nearer to their target, each once, in
     random order. Return how many. `cells` are width, excess and price of `FractionCells`: changes
-    bring no phase of a cell above what it is to have.
+    bring no phase of a cell above what it is to have, nor of the block.
 
     `slopes` (bins, 2) hold twice the misfit times its weight, and the weight, of the block's share,
     as what follows does of Euler numbers. They and the local array follow, and `change` (bins,) of
@@ -245,12 +245,26 @@ def flip_block(
             slopes[bins[k], 0] += 2 * slopes[bins[k], 1] * by[k]
         for e in range(len(euler)):
             euler_misfit[e] += loops[e]
-    # back with the last ones that left a phase with too many voxels
-    for n in range(now - 1, -1, -1):
+    given = (local, codes, phases, powers, grid, bins, by, change, done[:now], was[:now])
+    left = now - _undo(given, gained, side)
+    whole = np.zeros((1, 1, 1, phases), np.int64)
+    for z in range(gained.shape[0]):
+        for y in range(gained.shape[1]):
+            for x in range(gained.shape[2]):
+                whole[0, 0, 0] += gained[z, y, x]
+    return left - _undo(given, whole, local.size)
+
+
+@inline
+def _undo(given, gained, side):
+    """Take back the last changes that left a cell with too many of a phase. Return how many."""
+    local, codes, phases, powers, grid, bins, by, change, done, was = given
+    height, width, undone = local.shape[1], local.shape[2], 0
+    for n in range(len(done) - 1, -1, -1):
         spot = done[n]
         z, y, x = spot // (height * width), spot // width % height, spot % width
         own, old, more = local[z, y, x], was[n], _gained(gained, side, z, y, x)
-        if more[own] <= 0:
+        if own == old or more[own] <= 0:
             continue
         count = _changes(local, codes, z, y, x, old, phases, powers, grid, bins, by)
         for k in range(count):
@@ -258,8 +272,8 @@ def flip_block(
         _apply(local, codes, z, y, x, old)
         more[own] -= 1
         more[old] += 1
-        now -= 1
-    return now
+        undone += 1
+    return undone
 
 
 @inline
