@@ -16,6 +16,8 @@ import numpy as np
 from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.numerics.transforms import fast_side
 
+_TOGETHER = 1 << 14  # numbers of small planes that are transformed by one call
+
 
 def count_mirror_pairs(
     first: np.ndarray,
@@ -93,11 +95,15 @@ def _transform(inside: np.ndarray, sides: tuple[int, ...], exact: bool) -> np.nd
     half_y, half_x = (side // 2 + 1 for side in sides[1:])
     lines = np.empty((len(inside), half_x, 4 * half_y), real)
 
+    few = max(1, _TOGETHER // lines[0].size)
+
     def slab(start: int, stop: int) -> None:
-        for z in range(start, stop):
-            rows = np.fft.rfft(inside[z].astype(real), sides[2], axis=1).view(real)
-            columns = np.ascontiguousarray(rows.T)
-            lines[z] = np.fft.rfft(columns, sides[1], axis=1).view(real).reshape(half_x, -1)
+        for z in range(start, stop, few):
+            some = slice(z, min(z + few, stop))
+            rows = np.fft.rfft(inside[some].astype(real), sides[2], axis=2).view(real)
+            columns = np.ascontiguousarray(rows.swapaxes(1, 2))
+            parts = np.fft.rfft(columns, sides[1], axis=2).view(real)
+            lines[some] = parts.reshape(-1, half_x, 4 * half_y)
 
     for_slabs(slab, len(inside))
     return lines
@@ -110,25 +116,29 @@ def _powers(
     dz).
     """
     half_z, half_y = sides[0] // 2 + 1, sides[1] // 2 + 1
-    counts = np.empty((ours.shape[1], len(back[1]), len(back[0])))
+    depth, half_x, parts = ours.shape
+    counts = np.empty((half_x, len(back[1]), len(back[0])))
+    few = max(1, _TOGETHER // (depth * parts))
 
     def slab(start: int, stop: int) -> None:
-        for x in range(start, stop):
-            power = _along_z(ours, x, sides[0])
-            power *= power if theirs is ours else _along_z(theirs, x, sides[0])
+        for x in range(start, stop, few):
+            some = slice(x, min(x + few, stop))
+            power = _along_z(ours, some, sides[0])
+            power *= power if theirs is ours else _along_z(theirs, some, sides[0])
             # Lines are (part along x, frequency of y, part along y), columns (frequency of z, part
             # along z).
-            power = power.reshape(2, half_y, 2, half_z, 2)
+            power = power.reshape(-1, 2, half_y, 2, half_z, 2)
             power = power[..., 0] + power[..., 1]
-            power = power[0, :, 0] + power[0, :, 1] + power[1, :, 0] + power[1, :, 1]
-            counts[x] = back[1] @ (power.astype(np.float64) @ back[0].T)
+            power = power[:, 0, :, 0] + power[:, 0, :, 1] + power[:, 1, :, 0] + power[:, 1, :, 1]
+            counts[some] = back[1] @ (power.astype(np.float64) @ back[0].T)
 
-    for_slabs(slab, ours.shape[1])
+    for_slabs(slab, half_x)
     return counts
 
 
-def _along_z(lines: np.ndarray, x: int, side: int) -> np.ndarray:
-    return np.fft.rfft(np.ascontiguousarray(lines[:, x].T), side, axis=1).view(lines.dtype)
+def _along_z(lines: np.ndarray, some: slice, side: int) -> np.ndarray:
+    own = np.ascontiguousarray(np.moveaxis(lines[:, some], 0, -1))
+    return np.fft.rfft(own, side, axis=-1).view(lines.dtype)
 
 
 def _cosines(side: int, reach: int) -> np.ndarray:

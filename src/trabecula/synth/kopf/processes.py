@@ -25,6 +25,8 @@ _TRIES = 400  # of a sphere to find a place
 _REACH = 2.2  # mean distances from a centre within which a sphere counts
 _PLATES = 0.25  # share of the walls between cells that are plates, of bone's kind
 _LINES = 1.8  # fibres through a square of one mean distance
+_ROW = 8  # voxels a side of a block whose voxels look at points in one order
+_HALF_DIAGONAL = 0.87  # of a cube, sides; rounded up
 
 
 def gaussian_field(side: int, length: float, draw: np.random.Generator) -> np.ndarray:
@@ -182,7 +184,16 @@ def cell_field(points: np.ndarray, plates: np.ndarray, side: int) -> np.ndarray:
         np.moveaxis(squares(np.arange(side)[:, None, None] + 0.5 - points), -1, 0)
     )
     field = np.empty((side,) * 3, np.float32)
-    for_slabs(lambda a, b: cell_distances(along, apart, plates, field, a, b), side)
+    rows = -(-side // _ROW)
+
+    def work(start: int, stop: int) -> None:
+        for n in range(start * rows * rows, stop * rows * rows):
+            corner = _ROW * np.array(np.unravel_index(n, (rows,) * 3))
+            from_middle = np.sqrt(squares(corner + _ROW / 2 - points).sum(axis=-1))
+            order = np.argsort(from_middle)
+            cell_distances(along, apart, plates, order, from_middle[order], corner, field)
+
+    for_slabs(work, rows)
     return field
 
 
@@ -263,29 +274,35 @@ def sphere_distances(points, radii, reach, field, start, stop):
 
 
 @kernel
-def cell_distances(along, apart, plates, field, start, stop):
-    """Write planes start..stop of `cell_field`, of the squared offsets (3, side, n) from points
-    along every axis and the distances (n, n) between them.
+def cell_distances(along, apart, plates, order, from_middle, corner, field):
+    """Write a block of `cell_field` from its `corner`, of the squared offsets (3, side, n) from
+    points along every axis and the distances (n, n) between them; the points in `order` of their
+    distance from the middle of the block.
 
-    On an edge the second nearest wall is at 0 as well as the nearest.
+    On an edge the second nearest wall is at 0 as well as the nearest. The wall to a point is at
+    least half as far as the point is farther than the nearest.
     """
-    _, side, count = along.shape
-    squares, across = np.empty(count), np.empty(count)
-    for z in range(start, stop):
-        for y in range(side):
-            for i in range(count):
-                across[i] = along[0, z, i] + along[1, y, i]
-            for x in range(side):
-                own = 0
-                for i in range(count):
-                    squares[i] = across[i] + along[2, x, i]
-                    if squares[i] < squares[own]:
-                        own = i
-                wall, edge, plate = np.inf, np.inf, np.inf
-                for i in range(count):
+    side, reach = field.shape[0], _ROW * _HALF_DIAGONAL
+    for z in range(corner[0], min(corner[0] + _ROW, side)):
+        for y in range(corner[1], min(corner[1] + _ROW, side)):
+            for x in range(corner[2], min(corner[2] + _ROW, side)):
+                own, nearest = -1, np.inf
+                for n in range(len(order)):
+                    if from_middle[n] - reach > np.sqrt(nearest):
+                        break
+                    i = order[n]
+                    square = along[0, z, i] + along[1, y, i] + along[2, x, i]
+                    if square < nearest:
+                        own, nearest = i, square
+                wall, edge, plate, near = np.inf, np.inf, np.inf, np.sqrt(nearest)
+                for n in range(len(order)):
+                    if from_middle[n] - reach - near > 2 * min(edge, plate):
+                        break
+                    i = order[n]
                     if i == own:
                         continue
-                    d = 0.5 * (squares[i] - squares[own]) / apart[own, i]
+                    square = along[0, z, i] + along[1, y, i] + along[2, x, i]
+                    d = 0.5 * (square - nearest) / apart[own, i]
                     if d < wall:
                         wall, edge = d, wall
                     elif d < edge:
