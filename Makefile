@@ -16,11 +16,11 @@ demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look 
 	$(BIN)/trabecula demo --out out
 
 test: $(VENV)/dev.stamp             ## the tests of minutes, by as many processes as there are cores
-	$(PYTEST) -m "not whole"
+	$(PYTEST) -m "not (whole or slow)"
 
 test-all: $(VENV)/dev.stamp         ## every test of the base install but the slow ones, and those of each extra
 	$(PYTEST) -m "not slow"
-	$(MAKE) --no-print-directory --jobs 2 test-newest test-extras
+	$(MAKE) --no-print-directory test-extras
 
 test-slow: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## tests that take many seconds beside others like them: weekly, and before a release
 	$(PYTEST) -m slow
@@ -45,7 +45,7 @@ test-types: $(VENV)/dev.stamp $(VENV)/types.stamp   ## mypy and Pyright over a u
 	$(BIN)/basedpyright --pythonpath $(BIN)/python --project tests/types/pyrightconfig.json
 
 test-cluster: $(VENV)/dev.stamp $(VENV)/cluster.stamp   ## the tests that need Dask, which `make test` skips where it is not installed
-	$(BIN)/python -m pytest tests/engine/test_cluster.py
+	$(BIN)/python -m pytest -m "not slow" tests/engine/test_cluster.py
 
 test-remote: $(VENV)/dev.stamp $(VENV)/remote.stamp   ## the tests that need an object store, an emulation of which runs meanwhile
 	$(BIN)/python -m pytest tests/remote tests/engine/test_storage.py
@@ -68,7 +68,7 @@ fuzz: $(VENV)/dev.stamp             ## 10,000 damaged files and 1,000 strange ca
 	$(BIN)/python tests/fuzz/run.py files --count 10000
 	$(BIN)/python tests/fuzz/run.py arguments --count 1000
 
-test-newest:                        ## the wheel on the newest Python at hand, with the newest dependencies that the index has
+test-newest:                        ## the wheel on the newest Python at hand, with the newest dependencies that the index has: weekly, since most of what it finds comes from there
 	$(PYTHON) tests/matrix/run.py --python last --dependencies newest
 
 test-matrix:                        ## the same on every Python at hand, with the oldest and the newest; minutes each

@@ -174,7 +174,7 @@ def test_layers_get_the_preset_that_keeps_order():
     assert method_of("fast.zarr")["settings"]["first_rounds"] == 14 and choice(own) == []
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_plan_and_fit_choose_as_well():
     assert choice(trabecula("plan", "picture.png", "--shape", 16)) == [
         "trabecula: method kopf --set process=auto"

@@ -331,7 +331,7 @@ def test_plan_tells_and_makes_nothing(place):
     assert set(place.iterdir()) == before
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_plan_says_nothing_of_the_volumes_that_it_tries(place, monkeypatch):
     monkeypatch.setattr("trabecula.synth.shared.own_figures.off_line", lambda figures: "everything")
     words = ("sample:bone", "--method", "texture", "--shape", 40)

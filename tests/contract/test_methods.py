@@ -38,8 +38,18 @@ SHARED = {
 Each method takes part in some of them, and each has a method of windows or of memory-mapped arrays.
 """
 
-SLOW = {"old processor": {"bubbles", "chen", "kopf", "mrf", "quilt", "sliced", "tessellation"}}
-"""Checks that compile all kernels of a method anew: others make them, these in `make test-slow`."""
+SLOW = {
+    "old processor": {"bubbles", "chen", "kopf", "mrf", "quilt", "sliced", "tessellation"},
+    "presets": {"bubbles", "gan", "mrf"},
+    "memory forecast": {"chen", "mrf", "sliced"},
+    "memory-mapped forecast": {"chen", "mrf", "sliced"},
+    "learning forecast": {"bubbles"},
+    "parts": {"mrf", "sliced"},
+    "threads": {"bubbles"},
+}
+"""Checks that take many seconds, as those that compile all kernels of a method anew: other methods
+make them, these in `make test-slow`.
+"""
 
 
 def _cases():

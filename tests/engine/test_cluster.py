@@ -196,7 +196,10 @@ WHOLE = {
 }
 
 
-@pytest.mark.parametrize("name", sorted(WHOLE))
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] * (n == "chen")) for n in sorted(WHOLE)],
+)
 def test_workers_help_with_what_is_made_as_a_whole(two, name, tmp_path, monkeypatch):
     """The dear steps go to them, slab by slab; what was sent and what not makes no difference."""
     settings, shape = WHOLE[name]

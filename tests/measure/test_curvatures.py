@@ -141,6 +141,7 @@ def test_phases_for_themselves_where_there_are_three():
     assert quick["shape_index"] is quick["phases"]["wire"]["shape_index"] is None
 
 
+@pytest.mark.slow
 def test_the_certificate_sees_shapes_that_sizes_do_not():
     rods = random_rods(96, 30, seed=5)
     exemplar, other = rods[:, :, :48].astype(np.uint8), rods[:, :, 48:].astype(np.uint8)

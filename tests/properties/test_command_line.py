@@ -91,7 +91,7 @@ def test_any_values_of_the_options_of_generate(folder, shape, seed, memory, thre
     assert contents(folder) == before
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 @few
 @given(
     numbers,

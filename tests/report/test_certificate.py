@@ -150,7 +150,7 @@ def test_a_gaussian_field_matches_the_two_point_function_of_bone_and_is_called_b
     assert certificate.metrics["coherence"].passed, "noise is no copy"
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_the_baseline_stands_beside_and_fails_where_noise_must(bone):
     certificate = verify(bone, tb.method("texture").fit(tb.crop(bone, 60)).generate(60, seed=0))
     baseline = certificate.baseline
@@ -335,7 +335,7 @@ def test_a_bare_margin_is_noted(exemplar):
     assert any("first plane along z" in note and "crop" in note for note in certificate.notes)
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_several_images_two_dimensions_and_three_phases():
     flat, other = field(8, (96, 96)), field(9, (96, 96))
     certificates = verify(flat, flat, other, names=["itself", "other"])
@@ -445,7 +445,7 @@ def test_an_exemplar_smaller_than_its_correlation_is_warned_of():
     assert not any("correlated" in reason for reason in verify(fine, fine, level="quick").undecided)
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_realisations_are_compared_with_each_other(exemplar):
     twins = [like(exemplar, field(3))] * 2
     others = [like(exemplar, field(3)), like(exemplar, field(4))]

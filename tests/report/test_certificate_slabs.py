@@ -66,6 +66,7 @@ def test_a_file_that_does_not_fit_is_judged_in_slabs_as_the_exemplar_says(pair, 
     assert any("slab by slab" in line for line in slabs.lines) and "foam.zarr" in report.read_text()
 
 
+@pytest.mark.slow
 def test_the_exemplar_counts_for_what_fits(pair, tmp_path):
     """Above level "quick" its search tree is held beside what the image takes: two of 260^3 took
     1.4 GB where .75 were said.

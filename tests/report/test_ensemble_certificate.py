@@ -329,6 +329,7 @@ def test_what_cannot_be_judged_is_refused_with_advice(scan, members, change, wor
         tb.verify_ensemble(given, images, level="quick")
 
 
+@pytest.mark.slow
 def test_the_exemplars_tree_is_grown_once_for_all_members(monkeypatch):
     grown, grow = [], pair.exemplar_tree
     monkeypatch.setattr(pair, "exemplar_tree", lambda one, **more: grown.append(1) or grow(one))

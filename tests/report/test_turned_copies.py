@@ -66,7 +66,7 @@ def test_the_limit_is_above_what_parts_have_and_never_below_a_tenth():
     assert copies_limit([0.9, 1.0], ENOUGH) == 1.0
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_a_member_turned_from_any_of_several_scans_is_found():
     """What another scan does not hold says nothing about it."""
     scans = [field(seed, 64) for seed in (0, 1)]

@@ -162,7 +162,7 @@ def spheres(seed: int, side: int = 96, radius: int = 5, count: int = 700) -> np.
     return solid
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_another_sample_of_a_material_that_is_no_noise_passes():
     found = tb.verify(tb.Image(spheres(1), "labels"), tb.Image(spheres(2), "labels"))
     assert found.verdict == "pass" and found.undecided == () and all(found.groups.values())

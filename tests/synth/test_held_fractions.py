@@ -210,7 +210,7 @@ def test_memory_is_forecast(model, request_, made):
     check_memory(model, request_)
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_graded_bone_stays_as_stiff_as_its_exemplar():
     """Moved interfaces alone (`grading="feedback"`) leave six to seven tenths of it."""
     exemplar = tb.crop(tb.sample("bone"), 64)

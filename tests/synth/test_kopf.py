@@ -107,7 +107,7 @@ def test_a_form_is_filled_and_nothing_lies_outside(bone, model):
     assert np.count_nonzero(part) == round(np.count_nonzero(ball) * bone.values.mean())
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_a_periodic_tile_joins_its_other_end(model):
     made = model.generate((40, 36, 36), seed=3, periodic=(True, False, False)).values.astype(int)
     inside = np.mean(np.diff(made, axis=0) != 0)

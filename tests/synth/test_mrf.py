@@ -440,7 +440,7 @@ def test_upsampling_gives_one_of_eight_or_all(picture):
         assert agree == 1 if way == "all" else agree < 0.75
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_the_feedback_holds_shares_and_target(picture):
     model = tb.method("mrf", sweeps=(6, 8)).fit(picture)
     made = model.generate((24, 26, 22), seed=2)
@@ -525,7 +525,7 @@ def test_outside_a_mask_is_void_and_does_not_matter(picture):
     assert made[mask].mean() == pytest.approx(picture.values.mean(), abs=0.05)
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_a_periodic_result_has_no_seam(picture):
     model = tb.method("mrf", sweeps=(6, 8)).fit(picture)
     for periodic in (True, False):

@@ -131,7 +131,7 @@ def test_in_scratch_files_the_voxels_are_the_same(
     assert whole.std() > 0 and sum(told["scales"][-1]["changed"]) > 0
 
 
-@pytest.mark.parametrize("heuristic", ["h2b", "h1a"])
+@pytest.mark.parametrize("heuristic", ["h2b", pytest.param("h1a", marks=pytest.mark.slow)])
 def test_densities_may_come_from_other_processes(heuristic, pictures, tmp_path, monkeypatch):
     pytest.importorskip("cloudpickle")
     settings = {"relaxation": "icm"} if heuristic == "h1a" else {"oblique": False}

@@ -242,6 +242,7 @@ def test_the_search_finds_the_lowest_place_of_a_valley():
     assert search(valley, SEPARATIONS, 2.0).separation == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_trials_find_that_beads_touch_with_sharp_edges(beads):
     found = tb.method("packing", phase="solid", degree=4).fit(beads).packed
     assert 0.9 <= found.separation <= 1.0

@@ -333,6 +333,7 @@ class TestTexture:
             if mended:
                 assert told["off_after"] < told["off_before"]
 
+    @pytest.mark.slow
     def test_three_phases_need_a_large_exemplar_and_no_target(self, exemplar):
         three = exemplar.values.copy()
         three[exemplar.values == 0] = 2

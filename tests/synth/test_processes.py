@@ -137,11 +137,11 @@ def test_figures_in_correlation_lengths_do_not_depend_on_the_scale():
     ("name", "fraction"),
     [
         ("gaussian", 0.4),
-        ("overlapping_spheres", 0.5),
-        ("void_mixed_spheres", 0.85),
+        pytest.param("overlapping_spheres", 0.5, marks=pytest.mark.slow),
+        pytest.param("void_mixed_spheres", 0.85, marks=pytest.mark.slow),
         ("struts", 0.2),
-        ("walls", 0.3),
-        ("packed_spheres", 0.6),
+        pytest.param("walls", 0.3, marks=pytest.mark.slow),
+        pytest.param("packed_spheres", 0.6, marks=pytest.mark.slow),
     ],
 )
 def test_a_picture_resembles_the_process_that_it_is_of(name, fraction):
@@ -225,6 +225,7 @@ def test_a_volume_from_one_picture_is_of_the_process_that_it_resembles():
         named.generate(24, target=far)
 
 
+@pytest.mark.slow
 def test_a_process_goes_with_a_porosity():
     picture = as_labels(picture_of("void_mixed_spheres", fraction=0.85, length=10.0))
     model = tb.method("kopf", process="auto").fit(picture)

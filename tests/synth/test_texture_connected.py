@@ -170,6 +170,7 @@ def test_smoothing_in_place_is_a_convolution(noise):
         assert np.abs(votes - expected).max() <= 3  # three roundings
 
 
+@pytest.mark.slow
 def test_struts_stay_as_even_as_the_samples():
     """A scan whose windows differ is held to one fraction in all: by struts that vary much it would
     keep a quarter of its stiffness.

@@ -330,7 +330,8 @@ def test_a_model_without_local_fractions_takes_no_porosity():
 
 @pytest.mark.parametrize(("name", "asked"), [("bone", (0.75, 0.83, 0.9)), ("berea", (0.15, 0.3))])
 def test_shipped_models_make_the_porosity_that_is_asked_for(name, asked):
-    model = tb.load_model(name)
+    """Flips keep fractions, and are left out: they take most of the time."""
+    model = tb.load_model(name).unmatched()
     for porosity in asked:
         made = [model.generate(96, seed=seed, target={"porosity": porosity}) for seed in (1, 2)]
         found = np.mean([tb.measure.porosity(one) for one in made])
@@ -341,7 +342,7 @@ def test_samples_of_shipped_bone_scatter_as_parts_of_its_scan_do():
     """By the scan's covariance, windows of 64^3 have a porosity with a standard deviation of .033;
     a model without local fractions had .011.
     """
-    model = tb.load_model("bone")
+    model = tb.load_model("bone").unmatched()
     far = [((200 * i, 200 * i + 64), (0, 64), (0, 64)) for i in range(24)]
     found = [1 - model.window(64, box, seed=5).mean() for box in far]
     assert 0.02 < np.std(found) < 0.05
@@ -351,7 +352,7 @@ def test_shipped_bone_varies_around_a_porosity_as_its_scan_does():
     """Boxes of 32^3 of the scan have fractions with a standard deviation of .054; with the same
     fraction given everywhere it was .013.
     """
-    model = tb.load_model("bone")
+    model = tb.load_model("bone").unmatched()
     sizes = []
     for seed in (1, 2):
         made = model.generate(128, seed=seed, target={"porosity": 0.832}).values

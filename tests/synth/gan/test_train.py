@@ -55,7 +55,13 @@ def test_it_comes_nearer_to_the_exemplar(stripes, tmp_path):
 
 @pytest.mark.parametrize(
     "preset",
-    [{"sliced": 1.0}, {"discriminator": "score", "crop": 64, "gram": 0.1, "structural": 1.0}],
+    [
+        {"sliced": 1.0},
+        pytest.param(
+            {"discriminator": "score", "crop": 64, "gram": 0.1, "structural": 1.0},
+            marks=pytest.mark.slow,
+        ),
+    ],
 )
 def test_an_interrupted_run_goes_on_to_the_same_weights(stripes, tmp_path, preset):
     big = tb.Image(np.tile(stripes.values, (2, 2, 2))[:64, :64, :64], "labels")
@@ -119,7 +125,10 @@ def test_a_training_that_diverges_goes_back_and_slows_down(stripes, monkeypatch)
     assert all(np.isfinite(tensor).all() for tensor in weights_of(state).values())
 
 
-@pytest.mark.parametrize(("warmup", "first", "found"), [(0.25, 14, 25), (0.8, 22, 25)])
+@pytest.mark.parametrize(
+    ("warmup", "first", "found"),
+    [pytest.param(0.25, 14, 25, marks=pytest.mark.slow), (0.8, 22, 25)],
+)
 def test_a_training_goes_back_beyond_a_state_that_had_collapsed(
     stripes, monkeypatch, tmp_path, warmup, first, found
 ):
