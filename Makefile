@@ -22,7 +22,7 @@ test-all: $(VENV)/dev.stamp         ## every test of the base install but the sl
 	$(PYTEST) -m "not slow"
 	$(MAKE) --no-print-directory test-extras
 
-test-slow: $(VENV)/dev.stamp $(VENV)/learn.stamp   ## tests that take many seconds beside others like them: weekly, and before a release
+test-slow: $(VENV)/dev.stamp $(VENV)/learn.stamp $(VENV)/cluster.stamp $(VENV)/remote.stamp   ## tests that take many seconds beside others like them: weekly, and before a release
 	$(PYTEST) -m slow
 
 test-soak: $(VENV)/dev.stamp        ## ten runs of every test in random order beside full load; hours
@@ -48,7 +48,7 @@ test-cluster: $(VENV)/dev.stamp $(VENV)/cluster.stamp   ## the tests that need D
 	$(BIN)/python -m pytest -m "not slow" tests/engine/test_cluster.py
 
 test-remote: $(VENV)/dev.stamp $(VENV)/remote.stamp   ## the tests that need an object store, an emulation of which runs meanwhile
-	$(BIN)/python -m pytest tests/remote tests/engine/test_storage.py
+	$(BIN)/python -m pytest -m "not slow" tests/remote tests/engine/test_storage.py
 
 test-peers: $(VENV)/dev.stamp $(VENV)/peers.stamp   ## packages of the field take an image as an array, and are oracles: they are installed, 1.5 GB
 	$(BIN)/python -m pytest tests/peers

@@ -388,7 +388,7 @@ def test_measure_prints_every_descriptor(place):
     assert "porosity" in table and "values (--json prints them)" in table
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_how_much_is_measured_is_chosen(place):
     quick, full = (
         json.loads(trabecula("measure", "sample:bone", "--crop", 28, "--json", *words).out)

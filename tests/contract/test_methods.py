@@ -39,12 +39,15 @@ Each method takes part in some of them, and each has a method of windows or of m
 """
 
 SLOW = {
-    "old processor": {"bubbles", "chen", "kopf", "mrf", "quilt", "sliced", "tessellation"},
+    "old processor": {
+        *("bubbles", "chen", "fibres", "kopf", "mrf", "noise", "packing", "quilt", "sliced"),
+        "tessellation",
+    },
     "presets": {"bubbles", "gan", "mrf"},
     "memory forecast": {"chen", "mrf", "sliced"},
     "memory-mapped forecast": {"chen", "mrf", "sliced"},
     "learning forecast": {"bubbles"},
-    "parts": {"mrf", "sliced"},
+    "parts": {"kopf", "mrf", "sliced"},
     "threads": {"bubbles"},
 }
 """Checks that take many seconds, as those that compile all kernels of a method anew: other methods

@@ -221,6 +221,7 @@ def test_workers_help_with_what_is_made_as_a_whole(two, name, tmp_path, monkeypa
     assert [entry.name for entry in tmp_path.iterdir()] == ["x.zarr"]
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_lost_with_a_slab_costs_that_slab(two, tmp_path):
     model = tb.method("texture", preset="fast").fit(tb.crop(tb.sample("bone"), 40))
     with distributed.Client(two, set_as_default=False) as client:

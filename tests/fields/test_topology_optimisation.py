@@ -111,7 +111,7 @@ def test_no_other_density_of_that_volume_is_stiffer():
     )
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_penalty_drives_densities_to_the_bounds():
     soft, hard = (
         fields.simp("cantilever", (8, 4, 15), low=0.01, high=1, penalty=p, rounds=60).values

@@ -118,7 +118,7 @@ def test_half_resolution_has_the_same_frame():
     assert np.all(taken.position[counted] - np.argwhere(counted) == (1, 4, 3))
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_a_mosaic_falls_into_its_tiles():
     """Copy tiles of s^3 from random places: coherence(k) is about the share of pairs within a tile,
     patches about a tile.

@@ -80,7 +80,7 @@ def test_one_phase_alone_gives_null_and_never_nan(value):
     assert result["pore_size" if value == 0 else "thickness"] is None
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_levels(foam):
     quick, usual, full = (
         describe(foam, r_max=4, level=level) for level in ("quick", "default", "full")

@@ -299,7 +299,7 @@ def test_a_mask_bounds_no_sphere_and_a_full_one_is_refused():
     assert measure.thickness(slabs, mask=slabs == 0) == 0
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_thickness_of_voxels_a_million_times_as_deep_as_wide():
     # Spheres larger than the tables of containment tell are all kept.
     solid = np.zeros((5, 7, 9), np.uint8)

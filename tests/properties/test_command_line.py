@@ -78,7 +78,7 @@ def test_any_words_after_a_verb(folder, verb, rest):
     assert contents(folder) == before
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 @few
 @given(st.lists(numbers, min_size=1, max_size=3), numbers, numbers, numbers, numbers)
 def test_any_values_of_the_options_of_generate(folder, shape, seed, memory, threads, value):

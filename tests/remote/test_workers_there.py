@@ -12,6 +12,7 @@ pytest.importorskip("distributed", reason="workers need the extra cluster")
 ASKED = ("--method", "bubbles", "--shape", 70, 30, 40, "--seed", 3)
 
 
+@pytest.mark.slow
 def test_two_workers_make_the_same_voxels(bucket, objects):
     whole = trabecula("generate", *ASKED, "--out", "foam.npy")
     for file in Path.cwd().iterdir():

@@ -139,7 +139,7 @@ def test_anisotropy_that_a_radial_mean_cannot_see_fails_along_an_axis():
     assert certificate.metrics["two_point_covariance_y"].passed
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_a_gaussian_field_matches_the_two_point_function_of_bone_and_is_called_broken(bone):
     field = tb.method("noise", exact=True).fit(bone).generate(96, seed=1)
     certificate = verify(bone, field)

@@ -211,7 +211,7 @@ def test_pictures_are_judged_as_volumes_are():
     assert not found.failed and found.real["parts"] == 49
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_real_material_fails_about_once_in_twenty_ensembles():
     """Figures of normal values, the half of them kin to each other; the others heavy-tailed."""
     rng, failed = np.random.default_rng(6), 0

@@ -152,6 +152,7 @@ def test_samples_keep_the_default(name):
     assert set(found.origin.values()) == {"the sample"}
 
 
+@pytest.mark.slow
 def test_balls_that_are_cemented_are_round_grains_and_a_random_field_has_none():
     at = np.stack(np.indices((72, 72, 72)), -1)
     draw = np.random.default_rng(2)
@@ -397,7 +398,7 @@ def test_scans(data, file, method, preset):
     assert (found.recommendation.method, found.recommendation.preset) == (method, preset)
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_the_cortex_is_a_trend_and_berea_is_even(data):
     cortex = inspect(tb.read(data / "trabecular_bone_cortex_a.tif")).stationarity
     found = [(trend.what, trend.name) for trend in cortex.trends if trend.found]

@@ -211,7 +211,7 @@ def test_a_somewhat_different_fraction_is_reported(material):
     assert not check_scan(tb.Request(40, coarse=coarse), [picture], (0, 1))
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_berea_is_refined_four_times(data):
     """Surface, diffusivity and coarse voxels of a rock, from a slice of another part."""
     rock = tb.read(data / "berea_sandstone_a.tif")

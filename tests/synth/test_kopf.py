@@ -68,7 +68,7 @@ def test_distances_count_in_the_voxels_of_their_level():
     assert len(slopes) == 3 and np.ptp(slopes) <= 1, slopes
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_fractions_are_the_pictures_or_the_targets(bone, model):
     made = model.generate(30, seed=1)
     assert np.count_nonzero(made.values) == round(made.values.size * bone.values.mean())
@@ -116,7 +116,7 @@ def test_a_periodic_tile_joins_its_other_end(model):
     assert np.mean(opened[0] != opened[-1]) > 2 * inside
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_a_material_alike_in_all_directions_has_no_axes(bone, model):
     """Steps in the two-point function: the three axes and the diagonals agree within what one
     realisation scatters.

@@ -622,7 +622,7 @@ def test_strong_couplings_do_not_turn_everything_over_at_every_sweep(oblique):
     assert np.mean(overlaps[2:]) > -0.5, overlaps
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_couplings_bring_the_autocorrelation_nearer_to_the_pictures():
     """Check against a run without them, in which domains grow from sweep to sweep."""
     picture = blobs(64, sigma=(2.5, 2.5))

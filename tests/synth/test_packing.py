@@ -128,6 +128,7 @@ def test_fewer_than_eight_whole_bodies_are_none():
     assert find_bodies(tb.Image(inside.astype(np.uint8), "labels"), 1, 4) is None
 
 
+@pytest.mark.slow
 def test_flat_bodies_lie_and_are_mirrored_not_turned():
     random = np.random.default_rng(3)
     at = np.stack(np.indices((80, 80, 80)), -1).astype(float)

@@ -199,7 +199,7 @@ def test_what_would_fall_apart_or_is_neither_joined_nor_apart_is_passed_over(mon
     assert told.relative is None and "resembles no process" in told.line
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_a_volume_from_one_picture_is_of_the_process_that_it_resembles():
     """Discs of voids: balls that do not meet, where the planes alone join them."""
     inside = picture_of("void_mixed_spheres", fraction=0.85, length=10.0)

@@ -392,6 +392,7 @@ def test_leaves_are_searched_from_noise_alone_and_on_coarse_levels(top):
         assert sliced == novel_schedule.passes(1.0, Start(top), layout)
 
 
+@pytest.mark.slow
 def test_material_by_leaves_is_new_and_other_than_by_sweeps():
     image = tb.crop(tb.sample("bone"), 40)
     model = tb.method("texture", search="leaves").fit(image)
