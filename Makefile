@@ -10,7 +10,7 @@ endif
 export PYTHONDONTWRITEBYTECODE :=
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --durations 20
 
-.PHONY: demo test test-all test-slow test-extras test-soak coverage test-learn test-types test-cluster test-remote test-peers test-napari test-solvers test-printers test-newest test-matrix mutants fuzz check docs gallery bench figures wheel sbom clean
+.PHONY: demo test test-all test-slow test-extras test-soak coverage test-learn test-types test-cluster test-remote test-distributed test-peers test-napari test-solvers test-printers test-newest test-matrix mutants fuzz check docs gallery bench figures wheel sbom clean
 
 demo: $(VENV)/base.stamp            ## the main job on an embedded sample: look into out/
 	$(BIN)/trabecula demo --out out
@@ -32,8 +32,11 @@ coverage: $(VENV)/dev.stamp $(VENV)/learn.stamp $(VENV)/cluster.stamp $(VENV)/re
 	$(PYTEST) --cov --cov-report=term
 	$(BIN)/python tests/plain_kernels.py
 
-test-extras:                        ## one after the other: they install into the same environment
-	$(MAKE) --no-print-directory test-learn
+test-extras:                        ## installed one after the other, into the same environment
+	$(MAKE) --no-print-directory $(VENV)/dev.stamp $(VENV)/learn.stamp $(VENV)/cluster.stamp $(VENV)/remote.stamp
+	$(MAKE) --no-print-directory --jobs 2 test-learn test-distributed
+
+test-distributed:                   ## both of these
 	$(MAKE) --no-print-directory test-cluster
 	$(MAKE) --no-print-directory test-remote
 
