@@ -70,20 +70,22 @@ def test_distances_are_those_of_plain_loops():
     np.testing.assert_allclose(square, (across**2).sum(axis=-1).min(axis=-1), atol=1e-4)
 
 
-def test_edges_and_plates_lie_where_bisecting_planes_do():
+@pytest.mark.parametrize(("side", "count"), [(12, 7), (44, 90)])
+def test_edges_and_plates_lie_where_bisecting_planes_do(side, count):
     """The nearest wall and the second nearest, by the distance to the plane half way to each other
-    point; every wall a plate: the nearest.
+    point; every wall a plate: the nearest. In the large box most points are too far to be seen.
     """
     draw = np.random.default_rng(1)
-    points = draw.random((7, 3)) * SIDE
-    squares = (around(middles()[..., None, :] - points) ** 2).sum(axis=-1)
+    points = draw.random((count, 3)) * side
+    squares = (around(middles(side)[..., None, :] - points, side) ** 2).sum(axis=-1)
     own = squares.argmin(axis=-1)
-    apart = np.linalg.norm(around(points[:, None] - points), axis=-1)
+    apart = np.linalg.norm(around(points[:, None] - points, side), axis=-1)
     lead = squares - squares.min(axis=-1, keepdims=True)
-    planes = np.where(np.arange(7) == own[..., None], np.inf, lead / (2 * apart[own] + 1e-300))
+    planes = np.where(np.arange(count) == own[..., None], np.inf, lead / (2 * apart[own] + 1e-300))
     walls = np.sort(planes, axis=-1)
     found = [
-        processes.cell_field(points, np.full((7, 7), plates), SIDE) for plates in (False, True)
+        processes.cell_field(points, np.full((count, count), plates), side)
+        for plates in (False, True)
     ]
     np.testing.assert_allclose(found[0], walls[..., 1], rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(found[1], walls[..., 0], rtol=1e-4, atol=1e-4)

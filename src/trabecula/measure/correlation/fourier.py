@@ -94,7 +94,6 @@ def _transform(inside: np.ndarray, sides: tuple[int, ...], exact: bool) -> np.nd
     real = np.float64 if exact else np.float32
     half_y, half_x = (side // 2 + 1 for side in sides[1:])
     lines = np.empty((len(inside), half_x, 4 * half_y), real)
-
     few = max(1, _TOGETHER // lines[0].size)
 
     def slab(start: int, stop: int) -> None:

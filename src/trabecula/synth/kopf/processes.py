@@ -25,7 +25,7 @@ _TRIES = 400  # of a sphere to find a place
 _REACH = 2.2  # mean distances from a centre within which a sphere counts
 _PLATES = 0.25  # share of the walls between cells that are plates, of bone's kind
 _LINES = 1.8  # fibres through a square of one mean distance
-_ROW = 8  # voxels a side of a block whose voxels look at points in one order
+_BLOCK = 8  # voxels a side of a block whose voxels look at points in one order
 _HALF_DIAGONAL = 0.87  # of a cube, sides; rounded up
 
 
@@ -184,16 +184,16 @@ def cell_field(points: np.ndarray, plates: np.ndarray, side: int) -> np.ndarray:
         np.moveaxis(squares(np.arange(side)[:, None, None] + 0.5 - points), -1, 0)
     )
     field = np.empty((side,) * 3, np.float32)
-    rows = -(-side // _ROW)
+    count = -(-side // _BLOCK)
 
     def work(start: int, stop: int) -> None:
-        for n in range(start * rows * rows, stop * rows * rows):
-            corner = _ROW * np.array(np.unravel_index(n, (rows,) * 3))
-            from_middle = np.sqrt(squares(corner + _ROW / 2 - points).sum(axis=-1))
+        for z, y, x in np.ndindex(stop - start, count, count):
+            corner = _BLOCK * np.array([start + z, y, x])
+            from_middle = np.sqrt(squares(corner + _BLOCK / 2 - points).sum(axis=-1))
             order = np.argsort(from_middle)
             cell_distances(along, apart, plates, order, from_middle[order], corner, field)
 
-    for_slabs(work, rows)
+    for_slabs(work, count)
     return field
 
 
@@ -282,19 +282,19 @@ def cell_distances(along, apart, plates, order, from_middle, corner, field):
     On an edge the second nearest wall is at 0 as well as the nearest. The wall to a point is at
     least half as far as the point is farther than the nearest.
     """
-    side, reach = field.shape[0], _ROW * _HALF_DIAGONAL
-    for z in range(corner[0], min(corner[0] + _ROW, side)):
-        for y in range(corner[1], min(corner[1] + _ROW, side)):
-            for x in range(corner[2], min(corner[2] + _ROW, side)):
-                own, nearest = -1, np.inf
+    side, reach = field.shape[0], _BLOCK * _HALF_DIAGONAL
+    for z in range(corner[0], min(corner[0] + _BLOCK, side)):
+        for y in range(corner[1], min(corner[1] + _BLOCK, side)):
+            for x in range(corner[2], min(corner[2] + _BLOCK, side)):
+                own, nearest, near = -1, np.inf, np.inf
                 for n in range(len(order)):
-                    if from_middle[n] - reach > np.sqrt(nearest):
+                    if from_middle[n] - reach > near:
                         break
                     i = order[n]
                     square = along[0, z, i] + along[1, y, i] + along[2, x, i]
                     if square < nearest:
-                        own, nearest = i, square
-                wall, edge, plate, near = np.inf, np.inf, np.inf, np.sqrt(nearest)
+                        own, nearest, near = i, square, np.sqrt(square)
+                wall, edge, plate = np.inf, np.inf, np.inf
                 for n in range(len(order)):
                     if from_middle[n] - reach - near > 2 * min(edge, plate):
                         break
