@@ -32,11 +32,10 @@ coverage: $(VENV)/dev.stamp $(VENV)/learn.stamp $(VENV)/cluster.stamp $(VENV)/re
 	$(PYTEST) --cov --cov-report=term
 	$(BIN)/python tests/plain_kernels.py
 
-test-extras:                        ## installed one after the other, into the same environment
-	$(MAKE) --no-print-directory $(VENV)/dev.stamp $(VENV)/learn.stamp $(VENV)/cluster.stamp $(VENV)/remote.stamp
+test-extras: $(VENV)/dev.stamp $(VENV)/learn.stamp $(VENV)/cluster.stamp $(VENV)/remote.stamp   ## the tests of the extras, two at a time: what they need is installed before
 	$(MAKE) --no-print-directory --jobs 2 test-learn test-distributed
 
-test-distributed:                   ## both of these
+test-distributed:                   ## test-cluster, then test-remote
 	$(MAKE) --no-print-directory test-cluster
 	$(MAKE) --no-print-directory test-remote
 

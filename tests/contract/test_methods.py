@@ -34,8 +34,9 @@ SHARED = {
     "target field": {"kopf", "quilt", "texture"},
     "refused targets": {"chen", "gan", "kopf", "mrf", "quilt", "sliced", "texture"},
 }
-"""Checks that `make test` makes for `CHEAP` methods and these, and `make test-all` for every one.
-Each method takes part in some of them, and each has a method of windows or of memory-mapped arrays.
+"""Checks that `make test` makes for `CHEAP` methods and these, and `make test-all` for all but
+those of `SLOW`. Each method takes part in some of them, and each has a method of windows or of
+memory-mapped arrays.
 """
 
 SLOW = {
