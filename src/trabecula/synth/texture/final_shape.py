@@ -133,8 +133,8 @@ def settle_field(
     match: Callable[..., tuple[np.ndarray, dict[str, Any]]] | None = None,
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Do `settle_shape` on the field itself, where it has been held to its fractions: without
-    distances, in one pass. The free voxels have the fractions' mean, from which `match` may stray
-    by some .001: no voxel of an interface can change where there is none.
+    distances, in one pass. The free voxels have the fractions' mean, from which `match` strays
+    a little: in a block of which no cell has an interface nothing is gained that others lose.
 
     `place` brings small bodies into the votes, and returns what it did; so does `match`, which
     changes single voxels of the upper phase.

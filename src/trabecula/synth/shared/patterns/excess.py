@@ -90,7 +90,8 @@ def excess_of(
     off, voxels = (np.add.reduceat(one, layers, axis=0) for one in (off, voxels))
     given = (window / width, wraps)
     share = _spread(off, *given) / np.maximum(_spread(voxels, *given), 1)
-    share += np.sum(off - share * voxels) / max(voxels.sum(), 1)  # windows at faces count more
+    # a cell at a face is in fewer windows, in which it counts more: so the sum is another
+    share += np.sum(off - share * voxels) / max(voxels.sum(), 1)
     second = np.rint(share * voxels).astype(np.int64)
     return np.stack([-second, second], axis=-1)
 
