@@ -59,7 +59,8 @@ def excess_of(
     fractions: (cells z, y, x, 2) int64.
 
     A cell takes its part of what the windows that hold it are off, since in a window fractions vary
-    from cell to cell as they do in the material. In all they have as many too many as there are.
+    from cell to cell as they do in the material: by its voxels at interfaces, since no others can
+    change. In all they have as many too many as there are.
 
     Parameters
     ----------
@@ -76,24 +77,37 @@ def excess_of(
     """
     depth, *rest = phases.shape
     planes = (depth, *(-(-side // width) for side in rest))
-    off, voxels = np.zeros(planes), np.zeros(planes)
+    off, room = np.zeros(planes), np.zeros(planes)
 
     def work(start: int, stop: int) -> None:
         for z in range(start, stop):
-            more = (phases[z] == 1) - fractions[z]
-            there = np.ones(more.shape, np.float32) if free is None else free[z]
-            off[z] = _sums(more * there, width)
-            voxels[z] = _sums(there, width)
+            there = np.ones(phases[z].shape, np.float32) if free is None else free[z]
+            off[z] = _sums(((phases[z] == 1) - fractions[z]) * there, width)
+            room[z] = _sums(_at_interfaces(phases, z) * there, width)
 
     for_slabs(work, depth)
     layers = np.arange(0, depth, width)
-    off, voxels = (np.add.reduceat(one, layers, axis=0) for one in (off, voxels))
+    off, room = (np.add.reduceat(one, layers, axis=0) for one in (off, room))
     given = (window / width, wraps)
-    share = _spread(off, *given) / np.maximum(_spread(voxels, *given), 1)
+    share = _spread(off, *given) / np.maximum(_spread(room, *given), 1)
     # a cell at a face is in fewer windows, in which it counts more: so the sum is another
-    share += np.sum(off - share * voxels) / max(voxels.sum(), 1)
-    second = np.rint(share * voxels).astype(np.int64)
+    share += np.sum(off - share * room) / max(room.sum(), 1)
+    second = np.rint(share * room).astype(np.int64)
     return np.stack([-second, second], axis=-1)
+
+
+def _at_interfaces(phases: np.ndarray, z: int) -> np.ndarray:
+    """Return the voxels of a plane that have a neighbour of another phase along an axis: (Y, X)."""
+    plane = phases[z]
+    found = np.zeros(plane.shape, bool)
+    for near in (z - 1, z + 1):
+        if 0 <= near < len(phases):
+            found |= phases[near] != plane
+    for lines, of in ((found, plane), (found.T, plane.T)):
+        differ = of[1:] != of[:-1]
+        lines[1:] |= differ
+        lines[:-1] |= differ
+    return found
 
 
 def _sums(plane: np.ndarray, width: int) -> np.ndarray:
