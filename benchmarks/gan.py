@@ -19,9 +19,8 @@ from descriptors import GREY, LABELS, scans
 from image_truth import curves, figures_heads, relative
 from image_truth import figures as volume_figures
 from sections import section
-from trabecula.exemplar.views import PLANES
+from trabecula.exemplar.views import PLANES, take_slices
 from trabecula.models import shipped_models
-from trabecula.report.planes import take_slices
 from trabecula.view.slices import montage
 
 SAMPLES = 10

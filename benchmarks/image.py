@@ -20,11 +20,12 @@ import trabecula as tb
 from common import LEVEL, SCANS, asked, busy, pictures, table
 from trabecula.core.checks import check_name
 from trabecula.core.errors import TrabeculaError
+from trabecula.exemplar.views import take_slices
 from trabecula.measure.correlation import covariance_form, two_point
 from trabecula.measure.correlation.axis_preference import preference, two_point_diagonal
 from trabecula.measure.grey import autocorrelation, histogram, kullback_leibler
 from trabecula.measure.orientation import orientation
-from trabecula.report.planes import SlicePlane, slice_planes, take_slices
+from trabecula.report.planes import SlicePlane, slice_planes
 from trabecula.synth.api.registry import methods
 
 LAGS = 32

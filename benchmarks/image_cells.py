@@ -14,8 +14,8 @@ from image import draw, side_of
 from trabecula.core.errors import TrabeculaError
 from trabecula.core.seeds import generator
 from trabecula.engine.compile import inline, kernel
+from trabecula.exemplar.views import take_slices
 from trabecula.measure.plane_cells import PlaneCells, plane_cells
-from trabecula.report.planes import take_slices
 
 PHASES = ("grain", "boundary")
 GROWN = 96

@@ -13,7 +13,8 @@ import trabecula as tb
 from common import SCANS, busy, table
 from image import CROP, PICTURES, draw, likeness, likeness_of_volume
 from image_paper import BRIEF, reduced
-from trabecula.report.planes import SlicePlane, take_slices
+from trabecula.exemplar.views import take_slices
+from trabecula.report.planes import SlicePlane
 
 LABELS, GREY, COLOUR, ALONG = "ceramics", "gravel", "bread 2", "rods"
 SIDE, SMALL, PIXELS = 64, 32, 64

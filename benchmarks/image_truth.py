@@ -14,10 +14,9 @@ from common import asked, busy, table
 from descriptors import scans
 from image import draw, made, makers, side_of
 from trabecula.core.checks import check_name
-from trabecula.exemplar.views import PLANES
+from trabecula.exemplar.views import PLANES, take_slices
 from trabecula.measure.correlation import axis_preference, covariance_form, two_point
 from trabecula.measure.correlation.axis_preference import two_point_diagonal
-from trabecula.report.planes import take_slices
 
 SCANS = ("Berea", "bone a", "NMC", "cement, Otsu", "cathode, coarse")
 SEVERAL = ("bone a",)

@@ -6,11 +6,12 @@ import pytest
 import trabecula as tb
 from commands import refused, trabecula
 from trabecula.errors import InputError, UnknownNameError
+from trabecula.exemplar.views import take_slices
 from trabecula.measure import covariance_form, describe, largest_fraction, two_point
 from trabecula.report import verify
 from trabecula.report.band import LEAST_PART, parts
 from trabecula.report.metrics import find_descriptor
-from trabecula.report.planes import slice_planes, take_slices
+from trabecula.report.planes import slice_planes
 from trabecula.report.stereology import Joined
 from trabecula.report.summary_text import sentences
 

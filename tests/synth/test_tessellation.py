@@ -7,8 +7,11 @@ import pytest
 
 import trabecula as tb
 from trabecula.core.errors import InputError, RequestError
+from trabecula.measure.closed_cells import wall_phase
+from trabecula.measure.labelling import label_components
 from trabecula.measure.plane_cells import plane_cells
 from trabecula.report.cell_sections import judge_cells
+from trabecula.report.recommend import recommend
 from trabecula.synth.tessellation.grains import grow_grains
 from trabecula.synth.tessellation.laguerre import Diagram, PointGrid
 from trabecula.synth.tessellation.sections import SectionFigures, Shape, draw_boundaries
@@ -197,7 +200,7 @@ def test_pictures_without_cells_are_refused():
         tb.method("tessellation", boundary="solid", **FAST).fit(
             tb.Image(large, "labels", phases=("void", "solid"))
         )
-    with pytest.raises(InputError, match="no phase of the picture"):
+    with pytest.raises(InputError, match="no phase of the exemplar"):
         tb.method("tessellation", boundary="glass").fit(tb.Image(large, "labels"))
 
 
@@ -206,8 +209,122 @@ def test_settings_are_checked_by_name(model):
         tb.method("tessellation", lloyd_steps=-1)
     with pytest.raises(InputError, match="volume_spread"):
         tb.method("tessellation", volume_spread=2.0)
-    with pytest.raises(RequestError, match="target"):
+    with pytest.raises(RequestError, match="fixed"):
+        model.generate(16, fixed=np.zeros((16, 16, 16), bool))
+
+
+@pytest.fixture(scope="module")
+def foam():
+    """A closed-cell foam in space: walls of three voxels between the cells of random seeds."""
+    diagram, _ = grow_grains(4, (56, 64, 72), 1 / 2000, spread=0.3, lloyd_steps=1)
+    grid = PointGrid(*(np.arange(side) + 0.5 for side in (56, 64, 72)))
+    owner = diagram.cells(grid)
+    depth = diagram.face_distance(grid, owner, diagram.neighbours((28, 32, 36)), 0.0)
+    walls = draw_boundaries(owner, depth, 0.3)
+    return tb.Image(walls.astype(np.uint8), "labels", (2.0, 2.0, 2.0), "um", ("void", "solid"))
+
+
+@pytest.fixture(scope="module")
+def foam_model(foam):
+    return tb.method("tessellation", volume_spread=0.3, lloyd_steps=1).fit(foam)
+
+
+def test_a_scan_gives_cells_of_its_sizes_with_closed_walls(foam, foam_model):
+    made = foam_model.generate((60, 60, 60), seed=2)
+    assert (made.spacing, made.unit) == (foam.spacing, "um")
+    assert foam_model.learned.boundary == 1
+    assert foam_model.learned.shape.rounding == 0
+    assert foam_model.learned.shape.density == pytest.approx(1 / 2000, rel=0.15)
+    assert np.mean(made.values) == pytest.approx(np.mean(foam.values), abs=1e-4)
+    _, sizes = label_components(made.values == 0, connectivity=6)
+    assert len(sizes) > 60
+    assert sizes.max() < 0.06 * sizes.sum()
+    figures = made.recipe.steps[-1]["report"]["figures"]
+    assert figures["thickness"]["ratio"] == pytest.approx(1, abs=0.05)
+    assert figures["surface"]["ratio"] == pytest.approx(1, abs=0.05)
+
+
+def test_a_scan_stands_alone_and_has_no_planes(foam):
+    with pytest.raises(InputError, match="one volume, or from pictures"):
+        tb.method("tessellation").fit([foam, foam])
+    with pytest.raises(InputError, match="planes of pictures"):
+        tb.method("tessellation", views=("yx", "zx")).fit(foam)
+
+
+def test_a_saved_model_of_a_scan_gives_the_same_voxels(foam_model, tmp_path):
+    again = tb.load_model(foam_model.save(tmp_path / "foam.tbm"))
+    made = [one.generate((20, 24, 28), seed=5).values for one in (foam_model, again)]
+    assert np.array_equal(*made)
+
+
+def test_cells_of_a_stretched_scan_are_stretched(foam):
+    wide = tb.Image(np.repeat(foam.values, 2, axis=2), "labels", phases=foam.phases)
+    z, y, x = tb.method("tessellation", **FAST).fit(wide).learned.stretch
+    assert x / z == pytest.approx(2, rel=0.1)
+    assert y / z == pytest.approx(1, rel=0.1)
+
+
+def test_walls_are_as_thick_as_a_target_says(foam_model):
+    made = foam_model.generate((40, 40, 60), seed=1, target={"porosity": 0.55})
+    assert np.mean(made.values == 0) == pytest.approx(0.55, abs=1e-4)
+    ramp = np.broadcast_to(np.linspace(0.5, 0.8, 60, dtype=np.float32), (40, 40, 60))
+    made = foam_model.generate((40, 40, 60), seed=1, target={"porosity": ramp})
+    assert np.mean(made.values == 0) == pytest.approx(ramp.mean(), abs=1e-3)
+    thirds = (made.values == 0).reshape(40, 40, 3, 20).mean(axis=(0, 1, 3))
+    assert thirds == pytest.approx(ramp[0, 0].reshape(3, 20).mean(axis=1), abs=0.02)
+    mask = np.zeros((40, 40, 60), bool)
+    mask[:20] = True
+    made = foam_model.generate((40, 40, 60), seed=1, target={"porosity": ramp}, mask=mask)
+    assert np.mean(made.values[mask] == 0) == pytest.approx(ramp[mask].mean(), abs=1e-3)
+
+
+def test_walls_thinner_than_a_voxel_are_refused(foam_model):
+    least, most = foam_model.porosities()
+    assert least == 0
+    assert 0.8 < most < 0.95
+    made = foam_model.generate((40, 40, 40), seed=1, target={"porosity": most - 0.01})
+    assert np.mean(made.values == 0) == pytest.approx(most - 0.01, abs=0.01)
+    _, sizes = label_components(made.values == 0, connectivity=6)
+    assert sizes.max() < 0.15 * sizes.sum()
+    with pytest.raises(RequestError, match="thinner than a voxel"):
+        foam_model.generate((40, 40, 40), seed=1, target={"porosity": most + 0.01})
+
+
+def test_a_target_is_refused_where_cells_are_of_several_phases(foam):
+    labels, _ = label_components(foam.values == 0, connectivity=6)
+    three = np.where(foam.values == 1, 1, np.where(labels % 3 == 0, 2, 0)).astype(np.uint8)
+    image = tb.Image(three, "labels", phases=("void", "solid", "other"))
+    model = tb.method("tessellation", **FAST).fit(image)
+    assert model.learned.interiors == (0, 2)
+    made = model.generate(56, seed=1)
+    share = np.mean(made.values == 2) / np.mean(made.values != 1)
+    assert share == pytest.approx(np.mean(three == 2) / np.mean(three != 1), abs=0.1)
+    with pytest.raises(RequestError, match="leave the target out"):
         model.generate(16, target={"porosity": 0.5})
+
+
+@pytest.mark.parametrize("swap", [False, True])
+def test_closed_cells_are_known_by_their_even_walls(foam, swap):
+    values = 1 - foam.values if swap else foam.values
+    phases = ("void", "solid")
+    image = tb.Image(values, "labels", phases=phases)
+    assert wall_phase(image) == int(not swap)
+    found = recommend(image)
+    assert found.method == "tessellation"
+    assert f"{phases[int(not swap)]} is walls" in found.reason
+    assert recommend(image, graded=["porosity"]).method == "tessellation"
+    assert recommend(image, graded=["orientation"]).method == "quilt"
+
+
+def test_matrices_between_balls_and_open_cells_are_no_walls():
+    at = np.stack(np.indices((64,) * 3), -1) % 16 - 7.5
+    balls = np.linalg.norm(at, axis=-1) < 7.4
+    for image in (
+        tb.Image((~balls).astype(np.uint8), "labels", phases=("void", "solid")),
+        tb.sample("foam"),
+        tb.sample("bone"),
+    ):
+        assert wall_phase(image) is None
 
 
 @pytest.mark.whole

@@ -24,6 +24,9 @@ from trabecula.measure.disector import check_sections
 from trabecula.measure.grey import autocorrelation, grey_values
 
 PLANES = ("yx", "zx", "zy")
+SLICES = 8
+"""Slices of a plane that stand for a volume, at most."""
+
 _NAMES = (*PLANES, "xy", "xz", "yz")
 _AXES = "zyx"
 
@@ -213,6 +216,30 @@ def check_views(views: Sequence[View]) -> None:
             f"{second.plane} share {shared} ({found}): two views may suit it better (--set "
             "views=yx,zx)"
         )
+
+
+def take_slices(volume: Image, plane: str, count: int = SLICES) -> list[Image]:
+    """Take slices of a volume in a plane, evenly spread, at most `count`; rows and columns as the
+    plane's name says.
+    """
+    axis = as_axis(plane)
+    side = volume.shape[axis]
+    places = [(2 * n + 1) * side // (2 * min(count, side)) for n in range(min(count, side))]
+    edges = [volume.spacing["zyx".index(letter)] for letter in plane]
+    found = []
+    for place in places:
+        values = volume.values.take(place, axis)
+        values = values if plane in PLANES else values.swapaxes(0, 1)
+        found.append(
+            Image(
+                np.ascontiguousarray(values),
+                volume.kind,
+                tuple(edges),
+                unit=volume.unit,
+                phases=volume.phases,
+            )
+        )
+    return found
 
 
 def is_isotropic(image: Image) -> bool:

@@ -147,20 +147,24 @@ def plane_cells(
     return _measure(image, labels)
 
 
-def boundary_phase(image: Image) -> int:
-    """Return the label of the phase whose rest falls into most cells; the rarer one of two alike.
+def boundary_phase(*images: Image) -> int:
+    """Return the label of the phase whose rest falls into most cells in a picture, or in several of
+    one material; the rarer one of two alike.
 
     Raises
     ------
     InputError
         One phase alone.
     """
-    counts = np.bincount(image.values.ravel(), minlength=len(image.phases))
+    values = np.concatenate([one.values.ravel() for one in images])
+    counts = np.bincount(values, minlength=len(images[0].phases))
     present = [int(label) for label in np.flatnonzero(counts)]
     if len(present) < 2:
         raise InputError("no cells found: the picture holds one phase alone")
-    found = {label: _cells_of(image.values != label, NECK)[1] for label in present}
-    cells = {label: _whole(marks) for label, marks in found.items()}
+    cells = {
+        label: sum(_whole(_cells_of(image.values != label, NECK)[1]) for image in images)
+        for label in present
+    }
     return max(present, key=lambda label: (cells[label], -counts[label]))
 
 

@@ -13,11 +13,11 @@ import numpy as np
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
+from trabecula.exemplar.views import take_slices
 from trabecula.measure.plane_cells import PlaneCells, boundary_phase, plane_cells
 from trabecula.report.band import LEAST_COUNT, parts, value_band
 from trabecula.report.descriptors import Measurements
 from trabecula.report.metrics import Metric
-from trabecula.report.planes import take_slices
 from trabecula.report.reference import Reference
 
 CLOSED = 0.9

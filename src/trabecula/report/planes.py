@@ -13,7 +13,7 @@ import numpy as np
 from trabecula.core.image import Image
 from trabecula.core.progress import silence
 from trabecula.exemplar.magnification import to_one_magnification
-from trabecula.exemplar.views import PLANES, View, as_axis, views_of
+from trabecula.exemplar.views import View, as_axis, take_slices, views_of
 from trabecula.measure.correlation import decay_length, two_point
 from trabecula.measure.correlation.axis_preference import (
     preference,
@@ -26,9 +26,6 @@ from trabecula.measure.registry import COUNT
 from trabecula.report.descriptors import DescriptorSet, Measurements, TextureDescriptors
 from trabecula.report.evenness import average_evenness
 from trabecula.report.metrics import find_descriptor
-
-SLICES = 8
-"""Slices of a plane that are measured."""
 
 DIAGONAL = "diagonal"
 """Curve of the covariance along the diagonals of slices."""
@@ -75,30 +72,6 @@ def find_views(pictures: Sequence[Image], views: Sequence[str], *, gap: int = 0)
     # that other views may suit a picture better is for methods to say
     with silence():
         return views_of(pictures, views, gap=gap)
-
-
-def take_slices(volume: Image, plane: str, count: int = SLICES) -> list[Image]:
-    """Take slices of a volume in a plane, evenly spread, at most `count`; rows and columns as the
-    plane's name says.
-    """
-    axis = as_axis(plane)
-    side = volume.shape[axis]
-    places = [(2 * n + 1) * side // (2 * min(count, side)) for n in range(min(count, side))]
-    edges = [volume.spacing["zyx".index(letter)] for letter in plane]
-    found = []
-    for place in places:
-        values = volume.values.take(place, axis)
-        values = values if plane in PLANES else values.swapaxes(0, 1)
-        found.append(
-            Image(
-                np.ascontiguousarray(values),
-                volume.kind,
-                tuple(edges),
-                unit=volume.unit,
-                phases=volume.phases,
-            )
-        )
-    return found
 
 
 class SliceDescriptors:

@@ -14,6 +14,7 @@ import numpy as np
 
 from trabecula.core.image import Image
 from trabecula.exemplar.views import is_isotropic
+from trabecula.measure.closed_cells import wall_phase
 from trabecula.report.structure import has_bodies, has_round_grains, measure_structure
 
 LEAST = 12
@@ -106,6 +107,8 @@ def _for_little(image: Image) -> Recommendation:
 def _for_fields(image: Image, names: Collection[str]) -> Recommendation:
     """Choose for a volume of labels and target fields."""
     others = sorted(name for name in names if name not in _DENSITIES)
+    if not others and (walls := wall_phase(image)) is not None:
+        return _for_cells(image, walls)
     if "orientation" in others:
         return Recommendation(
             "quilt",
@@ -152,6 +155,9 @@ def _for_volume(image: Image) -> Recommendation:
             f"it makes a new structure and {image.kind} values on it; segment first for a part to "
             "be printed",
         )
+    walls = wall_phase(image)
+    if walls is not None:
+        return _for_cells(image, walls)
     two = len(np.unique(image.values)) == 2
     body = has_bodies(image) if two else None
     if body is not None:
@@ -173,6 +179,14 @@ def _for_volume(image: Image) -> Recommendation:
         )
     return Recommendation(
         "texture", "a volume of two phases without long-range order: new material, not copied"
+    )
+
+
+def _for_cells(image: Image, walls: int) -> Recommendation:
+    return Recommendation(
+        "tessellation",
+        f"{image.phases[walls]} is walls between closed cells: new cells of the scan's sizes, with "
+        "closed walls",
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from trabecula.core import progress
 from trabecula.core.image import Image
 from trabecula.exemplar.sections import gap_contradiction
+from trabecula.exemplar.views import SLICES, take_slices
 from trabecula.measure.describe import describe_numbers
 from trabecula.measure.effective_properties import describe_physics, physics_notes
 from trabecula.measure.registry import DESCRIPTORS
@@ -32,14 +33,7 @@ from trabecula.report.descriptors import (
 from trabecula.report.evenness import choose_windows, local_fractions
 from trabecula.report.metrics import VOLUME, Metric, in_order, stem
 from trabecula.report.notes import exemplar_notes, span_note
-from trabecula.report.planes import (
-    SLICES,
-    SliceDescriptors,
-    SlicePlane,
-    reach_of,
-    slice_planes,
-    take_slices,
-)
+from trabecula.report.planes import SliceDescriptors, SlicePlane, reach_of, slice_planes
 from trabecula.report.reference import Reference, try_coherence
 from trabecula.report.sections import FIGURE, SectionJudge
 from trabecula.report.stereology import (

@@ -1,26 +1,33 @@
-"""`tessellation`: cells of a Laguerre diagram, whose sections are like a picture of boundaries.
+"""`tessellation`: cells of a Laguerre diagram, whose sections are like a picture of boundaries, or
+like those of a scan.
 
-fit finds cells in the picture, and the settings whose sections are most like it (`sections`);
-generate grows cells of these volumes on a torus around the request (`grains`), and draws closed
-boundaries of the picture's fraction.
+fit finds cells in the picture, or in sections of the scan, and the settings whose sections are most
+like it (`sections`); generate grows cells of these volumes on a torus around the request
+(`grains`), and draws closed boundaries of the exemplar's fraction.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from math import ceil, prod
 from typing import Any
 
 import numpy as np
 
-from trabecula.core.errors import InputError
+from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.core.seeds import generator
-from trabecula.exemplar.views import View, views_of
+from trabecula.core.target import porosity_of
+from trabecula.exemplar.views import PLANES, View, as_axis, take_slices, views_of
+from trabecula.measure.closed_cells import BOX as CENTRE
+from trabecula.measure.closed_cells import BYTES as CENTRE_BYTES
+from trabecula.measure.closed_cells import wall_phase
 from trabecula.measure.plane_cells import boundary_phase
 from trabecula.synth.api.model import ModelState, as_request
+from trabecula.synth.shared.own_figures import BOX, OwnFigures, figure_stages, tell_off
 from trabecula.synth.shared.pictures import PictureMethod, PictureModel
 from trabecula.synth.tessellation import CAPABILITIES
 from trabecula.synth.tessellation.config import TessellationConfig
@@ -38,11 +45,13 @@ _MARGIN = 1.5  # edges of a cell by which the torus is larger than an axis that 
 _PROCESS = 220 << 20
 _VOXEL = 16.2  # bytes: cell, distance, its copy while boundaries are drawn, values
 _MASKED = 6  # bytes a voxel more with a mask
+_GRADED = 24  # and with a target field
 _POINT = 24  # bytes of a point of the grid on which cells grow, while neighbours are found
 _SEED = 1300  # bytes of a seed with the candidates of its blocks and the cells that touch it
 _PIXEL = 72  # bytes of a pixel of a picture while its cells are found
 _TRIAL, _SECTION = 840 << 10, 64  # bytes of a small tessellation, and of a pixel of its sections
-_WIDEST = 200  # pixels of a section
+_WIDEST = 256  # pixels of a section
+_THIN, _THIN_BOX = 4.0, (24, 72)  # edges of cells in a box of walls of a voxel; its side, voxels
 
 
 @dataclass(frozen=True)
@@ -71,12 +80,35 @@ class Tessellation(PictureMethod):
     def _width(self) -> int:
         return _LEAST
 
+    def _check_exemplars(self, images: Sequence[Image]) -> None:
+        if all(image.ndim == 2 for image in images):
+            super()._check_exemplars(images)
+            return
+        if len(images) > 1:
+            raise InputError(
+                "method 'tessellation' learns from one volume, or from pictures: got "
+                f"{len(images)} exemplars"
+            )
+        if self.config.views:
+            raise InputError(
+                f"views={list(self.config.views)} are planes of pictures: leave them out where a "
+                "volume is learnt from"
+            )
+        self._check_exemplar(images[0])
+        self._check_picture(images[0])
+
+    def learn(self, exemplars: Sequence[Image]) -> PictureModel:
+        if exemplars[0].ndim == 2:
+            return super().learn(exemplars)
+        return self._learn(exemplars, _views(exemplars, self.config))
+
     def _learn(self, exemplars: Sequence[Image], views: tuple[View, ...]) -> TessellationModel:
-        return TessellationModel(self.config, exemplars, views, _learned(self.config, views))
+        learned = _learned(self.config, exemplars, views)
+        return TessellationModel(self.config, exemplars, views, learned)
 
     def from_state(self, exemplars: Sequence[Image], state: ModelState) -> TessellationModel:
         """Build the model of what was learned, as `TessellationModel.state` gives it."""
-        views = views_of(exemplars, self.config.views)
+        views = _views(exemplars, self.config)
         plain = dict(state.plain)
         shape = Shape(**plain.pop("shape"))
         names = ("interiors", "fractions", "stretch")
@@ -84,11 +116,13 @@ class Tessellation(PictureMethod):
         return TessellationModel(self.config, exemplars, views, Learned(**plain, shape=shape))
 
     def memory(self, exemplars: Sequence[Image]) -> Mapping[str, int]:
-        """Forecast the cells of the largest picture, or a trial with its sections."""
-        cells = _PIXEL * max(prod(image.shape) for image in exemplars)
+        """Forecast the cells of the largest picture or section, or a trial with its sections."""
+        cells = _PIXEL * max(prod(sorted(image.shape)[-2:]) for image in exemplars)
         width = min(_WIDEST, *(min(image.shape) for image in exemplars))
         trial = _TRIAL + _SECTION * width**2
-        return {"interpreter and kernels": _PROCESS, "cells or trials": max(cells, trial)}
+        centre = CENTRE_BYTES * prod(min(CENTRE, side) for side in exemplars[0].shape)
+        most = max(cells, trial, centre if exemplars[0].ndim == 3 else 0)
+        return {"interpreter and kernels": _PROCESS, "cells or trials": most}
 
 
 class TessellationModel(PictureModel):
@@ -128,6 +162,11 @@ class TessellationModel(PictureModel):
 
     def make(self, request: Request) -> tuple[np.ndarray, Mapping[str, Any]]:
         """Grow the cells and draw their boundaries."""
+        values, report = self._drawn(request)
+        return values, report | self._compare(request, values)
+
+    def _drawn(self, request: Request) -> tuple[np.ndarray, dict[str, Any]]:
+        """Return the labels of a request, and what to report of its cells."""
         found, shape = self.learned, self.learned.shape
         diagram, error = self._grow(request)
         grid = self._grid(request)
@@ -135,17 +174,76 @@ class TessellationModel(PictureModel):
         edge = shape.density ** (-1 / 3)
         touching = diagram.neighbours(_points(diagram.sides, edge))
         depth = diagram.face_distance(grid, owner, touching, shape.rounding * edge)
-        walls = draw_boundaries(owner, depth, shape.walls, inside=request.mask)
+        share = self._wall_share(request)
+        walls = draw_boundaries(owner, depth, share, inside=request.mask)
         values = self._phases(request, diagram)[owner]
         values[walls] = found.boundary
         if request.mask is not None:
             values[~request.mask] = self.facts[0].empty_label
-        report = {
+        return values, {
             "cells": len(np.unique(owner)),
             "volume_error": error,
             "sections_difference": shape.difference,
         }
-        return values, report
+
+    def _wall_share(self, request: Request) -> float | np.ndarray:
+        """Return the share of walls that is wanted, everywhere or around every place."""
+        porosity = porosity_of(request.target)
+        if porosity is None:
+            return self.learned.shape.walls
+        return porosity if self.learned.boundary == self.facts[0].empty_label else 1 - porosity
+
+    def porosities(self) -> tuple[float, float]:
+        """Return the least and greatest porosity that can be a target: with walls of a voxel, and
+        with walls alone.
+        """
+        if self.learned.boundary == self.facts[0].empty_label:
+            return self._thinnest, 1.0
+        return 0.0, 1 - self._thinnest
+
+    @cached_property
+    def _thinnest(self) -> float:
+        """Return the share of closed walls of a voxel, of a box of some cells."""
+        edge = self.learned.shape.density ** (-1 / 3)
+        request = Request((int(np.clip(_THIN * edge, *_THIN_BOX)),) * 3, seed=0)
+        diagram, _ = self._grow(request)
+        owner = diagram.cells(self._grid(request))
+        return float(draw_boundaries(owner, np.zeros(owner.shape, np.float32), 0.0).mean())
+
+    def _check_target(self, request: Request) -> None:
+        wanted = porosity_of(request.target)
+        if wanted is None:
+            return
+        if len(self.learned.interiors) > 1:
+            raise RequestError(
+                "a target is the share of walls between cells of one phase, and these are of "
+                f"{len(self.learned.interiors)}: leave the target out"
+            )
+        inside = ... if request.mask is None or not np.ndim(wanted) else request.mask
+        asked = np.asarray(wanted)[inside]
+        least, most = self.porosities()
+        if asked.min() < least or asked.max() > most:
+            raise RequestError(
+                f"a target porosity of {asked.min():.3g} .. {asked.max():.3g} would need walls "
+                f"thinner than a voxel: closed ones leave {least:.3g} .. {most:.3g}; ask for one "
+                "in between, or give an exemplar with smaller voxels"
+            )
+
+    def _compare(self, request: Request, values: np.ndarray) -> dict[str, Any]:
+        """Tell what is off in a result of a scan, and return its figures for the report; none where
+        it is to differ from the scan.
+        """
+        if self._figures is None or request.asks_for() - {"periodic"}:
+            return {}
+        figures = self._figures.compare(self.exemplars[0], values)
+        tell_off(figures)
+        return {"figures": {name: one.to_json() for name, one in figures.items()}}
+
+    @cached_property
+    def _figures(self) -> OwnFigures | None:
+        """Return the figures of a scan; None of pictures."""
+        exemplar = self.exemplars[0]
+        return OwnFigures.of(exemplar, box=BOX) if exemplar.ndim == 3 else None
 
     def _grow(self, request: Request) -> tuple[Diagram, float]:
         """Return the cells of a request in voxels over the stretch, on a torus of its own."""
@@ -195,6 +293,7 @@ class TessellationModel(PictureModel):
         edge = self.learned.shape.density ** (-1 / 3)
         seeds = max(1.0, prod(sides) * self.learned.shape.density)
         voxel = _VOXEL + (0 if request.mask is None else _MASKED)
+        voxel += _GRADED if any(np.ndim(one) for one in request.target.values()) else 0
         drawing = int(voxel * prod(request.shape) + _SEED * seeds)
         growth = _POINT * prod(_points(sides, edge))
         output = self.output_bytes(request)
@@ -202,38 +301,66 @@ class TessellationModel(PictureModel):
             "interpreter and kernels": _PROCESS,
             "exemplar": sum(image.values.nbytes for image in self.exemplars),
             "output": output,
-            "cells and distances": max(drawing, growth) - output,
+            "cells and distances": max(drawing, growth, self._figure_bytes(request)) - output,
         }
+
+    def _figure_bytes(self, request: Request) -> int:
+        """Return the bytes that it takes to say what is off, beside the output."""
+        exemplar = self.exemplars[0]
+        if exemplar.ndim == 2 or request.asks_for() - {"periodic"}:
+            return 0
+        stages = figure_stages(request.shape, exemplar.shape, box=BOX)
+        copy = prod(min(side, BOX) for side in request.shape)
+        return self.output_bytes(request) + copy + sum(stage.working for stage in stages)
 
 
 def _points(sides: Sequence[float] | np.ndarray, edge: float) -> list[int]:
     return [max(1, ceil(side / edge * POINTS)) for side in sides]
 
 
-def _learned(config: TessellationConfig, views: Sequence[View]) -> Learned:
-    """Find the cells of pictures, and the settings whose sections are most like them."""
-    pictures = {view.picture: view.image for view in views}
-    first = pictures[min(pictures)]
+def _views(exemplars: Sequence[Image], config: TessellationConfig) -> tuple[View, ...]:
+    """Return the views of pictures; of a volume its middle slices."""
+    if exemplars[0].ndim == 2:
+        return views_of(exemplars, config.views)
+    middle = [take_slices(exemplars[0], plane, 1)[0] for plane in PLANES]
+    pairs = enumerate(zip(PLANES, middle, strict=True))
+    return tuple(View(as_axis(plane), image, n) for n, (plane, image) in pairs)
+
+
+def _learned(
+    config: TessellationConfig, exemplars: Sequence[Image], views: Sequence[View]
+) -> Learned:
+    """Find the cells of pictures, or of sections of a volume, and the settings whose sections are
+    most like them.
+    """
+    pictures = list({view.picture: view.image for view in views}.values())
+    solid = exemplars[0].ndim == 3
+    names = pictures[0].phases
     if config.boundary is None:
-        boundary = boundary_phase(first)
-    elif config.boundary in first.phases:
-        boundary = first.phases.index(config.boundary)
+        boundary = wall_phase(exemplars[0]) if solid else None
+        if boundary is None:
+            boundary = boundary_phase(*pictures) if solid else boundary_phase(pictures[0])
+    elif config.boundary in names:
+        boundary = names.index(config.boundary)
     else:
         raise InputError(
-            f"boundary={config.boundary!r} is no phase of the picture: it has "
-            f"{', '.join(first.phases)}"
+            f"boundary={config.boundary!r} is no phase of the exemplar: it has {', '.join(names)}"
         )
-    values = np.concatenate([image.values.ravel() for image in pictures.values()])
-    counts = np.bincount(values, minlength=len(first.phases))
+    counted = exemplars if solid else pictures
+    every = [np.bincount(one.values.ravel(), minlength=len(names)) for one in counted]
+    counts = np.sum(every, axis=0)
     interiors = [label for label in np.flatnonzero(counts) if label != boundary]
-    stretch = _stretch(views, boundary)
-    marks = [
-        Image((image.values == boundary).astype(np.uint8), "labels") for image in pictures.values()
-    ]
-    figures = SectionFigures.mean([SectionFigures.of(mark, config.neck) for mark in marks])
+    stretch = _stretch_of(exemplars[0], boundary) if solid else _stretch(views, boundary)
+    if solid:
+        pictures = [one for plane in PLANES for one in take_slices(exemplars[0], plane)]
+    figures = SectionFigures.of_several(
+        [Image((one.values == boundary).astype(np.uint8), "labels") for one in pictures],
+        config.neck,
+        some=solid,
+    )
     shape = shape_of(
-        figures,
-        min(min(mark.shape) for mark in marks),
+        replace(figures, walls=float(counts[boundary] / counts.sum())) if solid else figures,
+        min(min(one.shape) for one in pictures),
         config.neck,
         spread=config.volume_spread,
         lloyd_steps=config.lloyd_steps,
@@ -251,10 +378,21 @@ def _stretch(views: Sequence[View], boundary: int) -> tuple[float, float, float]
         return 1.0, 1.0, 1.0
     lines: dict[int, list[float]] = {axis: [] for axis in range(3)}
     for view in views:
-        inside = view.image.values != boundary
         for axis, along in zip(view.across, range(2), strict=True):
-            crossings = np.count_nonzero(np.diff(inside, axis=along))
-            lines[axis].append(np.log(inside.size / max(1, crossings)))
-    means = np.array([np.mean(lines[axis]) for axis in range(3)])
-    z, y, x = np.exp(means - means.mean())
+            lines[axis].append(_log_intercept(view.image, boundary, along))
+    return _over_mean([float(np.mean(lines[axis])) for axis in range(3)])
+
+
+def _stretch_of(volume: Image, boundary: int) -> tuple[float, float, float]:
+    """Return the same of a volume."""
+    return _over_mean([_log_intercept(volume, boundary, axis) for axis in range(3)])
+
+
+def _log_intercept(image: Image, boundary: int, axis: int) -> float:
+    inside = image.values != boundary
+    return float(np.log(inside.size / max(1, np.count_nonzero(np.diff(inside, axis=axis)))))
+
+
+def _over_mean(lengths: Sequence[float]) -> tuple[float, float, float]:
+    z, y, x = np.exp(np.array(lengths) - np.mean(lengths))
     return float(z), float(y), float(x)

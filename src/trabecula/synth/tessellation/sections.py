@@ -9,27 +9,29 @@ doi:10.1016/j.commatsci.2008.09.018). Seeds of these trials are fixed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.measure.distance import distance_transform
+from trabecula.measure.closed_cells import thickening
 from trabecula.measure.plane_cells import plane_cells
 from trabecula.synth.tessellation.grains import grow_grains
 from trabecula.synth.tessellation.laguerre import Diagram, PointGrid
 
 SPREADS = (0.0, 0.25, 0.5, 0.75, 1.0)
 STEPS = (0, 1, 3, 8)
-ROUNDINGS = (0.0, 0.1, 0.2, 0.3)
+ROUNDINGS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4)
 
 _SHARES = np.linspace(0.1, 0.9, 9)
 _CELLS = 216
 _PLANES = 4  # along every axis
 _WIDTH = 10.0  # of a section over the edge of a cell, at most; sections go around the torus
 _PIXELS = 20.0  # of a cell's edge in a trial, at most
+_MARKS = np.linspace(0, 1, 1025)  # shares whose depth is known
+_FINE = 256.0  # pixels of a section whose walls are looked at, at most
 _POINTS = 5.0
 _SEED = 0
 _PER_SECTION = 1.2  # cells per area of a section over the 2/3 power of those per volume, at first
@@ -58,15 +60,37 @@ class SectionFigures:
         """Measure a picture whose boundaries are label 1."""
         cells = plane_cells(image, boundary=1, neck=neck)
         area = cells.mean_area
-        depth = distance_transform(image.values == 1)[image.values == 1]
         return cls(
             cells.triple_points / 2,
             np.sqrt(cells.quantiles(cells.area, _SHARES) / area),
             cells.mean(cells.aspect),
             cells.spread(cells.neighbours),
             float(np.mean(image.values == 1)),
-            float(np.mean(depth**2, dtype=np.float64) / np.mean(depth, dtype=np.float64) ** 2),
+            thickening(image.values == 1),
         )
+
+    @classmethod
+    def of_several(
+        cls, images: Sequence[Image], neck: float, *, some: bool = False
+    ) -> SectionFigures:
+        """Return the mean of pictures whose boundaries are label 1.
+
+        Raises
+        ------
+        InputError
+            No cells in one of them; where `some` suffice, in all.
+        """
+        found, last = [], None
+        for image in images:
+            try:
+                found.append(cls.of(image, neck))
+            except InputError as error:
+                if not some:
+                    raise
+                last = error
+        if last is not None and not found:
+            raise last
+        return cls.mean(found)
 
     @classmethod
     def mean(cls, found: Sequence[SectionFigures]) -> SectionFigures:
@@ -157,7 +181,14 @@ class _Trial:
         """Return how far the corners of boundaries are off; sharp ones are taken unless round ones
         are nearer by more than sections scatter.
         """
-        return abs(self.picture.thick - self.figures(shape).thick) + 0.1 * shape.rounding
+        return abs(self.picture.thick - self.thick(shape)) + 0.1 * shape.rounding
+
+    def thick(self, shape: Shape) -> float:
+        """Return the thickening of the walls of sections with pixels as fine as the picture's:
+        coarser ones take walls of few pixels for even ones.
+        """
+        width = min(self.width, _WIDTH * self.density ** (-1 / 3), _FINE)
+        return float(np.mean([thickening(plane) for plane in self._sections(shape, width, 1.0)]))
 
     def figures(self, shape: Shape) -> SectionFigures:
         """Return the figures of sections of a trial."""
@@ -167,36 +198,41 @@ class _Trial:
         return self._seen[key]
 
     def _measure(self, shape: Shape) -> SectionFigures:
-        diagram = self._diagram(shape.spread, shape.lloyd_steps)
-        side, edge = float(diagram.sides[0]), self.density ** (-1 / 3)
+        edge = self.density ** (-1 / 3)
         pixel = max(1.0, edge / _PIXELS)
-        line = (np.arange(round(min(self.width, _WIDTH * edge) / pixel)) + 0.5) * pixel
-        cuts = (np.arange(_PLANES) + 0.5) * (side / _PLANES)
-        touching = diagram.neighbours([round(side / edge * _POINTS)] * 3)
         found = []
-        for axis in range(3):
-            grid = PointGrid(*(cuts if axis == each else line for each in range(3)))
-            owner = diagram.cells(grid)
-            depth = diagram.face_distance(grid, owner, touching, shape.rounding * edge)
-            walls = draw_boundaries(owner, depth, self.picture.walls, across=axis)
-            for plane in np.moveaxis(walls, axis, 0):
-                image = Image(
-                    np.ascontiguousarray(plane).astype(np.uint8),
-                    "labels",
-                    (pixel,) * 2,
-                    "voxel",
-                    ("interior", "boundary"),
-                )
-                try:
-                    found.append(SectionFigures.of(image, self.neck))
-                except InputError:
-                    continue  # a section of few cells
+        for plane in self._sections(shape, min(self.width, _WIDTH * edge), pixel):
+            image = Image(
+                plane.astype(np.uint8),
+                "labels",
+                (pixel,) * 2,
+                "voxel",
+                ("interior", "boundary"),
+            )
+            try:
+                found.append(SectionFigures.of(image, self.neck))
+            except InputError:
+                continue  # a section of few cells
         if not found:
             raise InputError(
                 "no cells found in sections of the tessellation: the picture's boundaries are too "
                 "thick for its cells; give a picture of higher resolution"
             )
         return SectionFigures.mean(found)
+
+    def _sections(self, shape: Shape, width: float, pixel: float) -> Iterator[np.ndarray]:
+        """Yield the walls of sections across every axis, bool."""
+        diagram = self._diagram(shape.spread, shape.lloyd_steps)
+        side, edge = float(diagram.sides[0]), self.density ** (-1 / 3)
+        line = (np.arange(max(1, round(width / pixel))) + 0.5) * pixel
+        cuts = (np.arange(_PLANES) + 0.5) * (side / _PLANES)
+        touching = diagram.neighbours([round(side / edge * _POINTS)] * 3)
+        for axis in range(3):
+            grid = PointGrid(*(cuts if axis == each else line for each in range(3)))
+            owner = diagram.cells(grid)
+            depth = diagram.face_distance(grid, owner, touching, shape.rounding * edge)
+            walls = draw_boundaries(owner, depth, self.picture.walls, across=axis)
+            yield from (np.ascontiguousarray(plane) for plane in np.moveaxis(walls, axis, 0))
 
     def _diagram(self, spread: float, lloyd_steps: int) -> Diagram:
         key = (spread, lloyd_steps)
@@ -216,7 +252,7 @@ class _Trial:
 def draw_boundaries(
     owner: np.ndarray,
     depth: np.ndarray,
-    share: float,
+    share: float | np.ndarray,
     *,
     across: int | None = None,
     inside: np.ndarray | None = None,
@@ -233,8 +269,8 @@ def draw_boundaries(
         Cells.
     depth : float32 array, (Z, Y, X)
         Distance to the faces of the cells. It is written to.
-    share : float
-        Of the boundary.
+    share : float, or float array, (Z, Y, X)
+        Of the boundary; or around every voxel.
     across : int, optional
         An axis whose planes are sections of their own.
     inside : bool array, optional
@@ -251,9 +287,25 @@ def draw_boundaries(
         nearer = depth[first] <= depth[second]
         depth[first][apart & nearer] = -np.inf
         depth[second][apart & ~nearer] = -np.inf
-    known = depth.ravel() if inside is None else depth[inside]
+    inner = ... if inside is None else inside
+    known = depth[inner].ravel()
+    if isinstance(share, np.ndarray):
+        depth = _rank(depth, known) - share.astype(np.float32)
+        known, share = depth[inner].ravel(), float(share[inner].mean(dtype=np.float64))
     count = round(share * known.size)
     if count == 0 or known.size == 0:
         return np.asarray(depth == -np.inf)
     level = np.partition(known, min(count, known.size - 1))[min(count, known.size - 1)]
     return np.asarray((depth < level) | (depth == -np.inf))
+
+
+def _rank(depth: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return the share of the voxels `known` that are less deep than every voxel, float32; -inf
+    stays.
+    """
+    deeper = known[known > -np.inf]
+    if not deeper.size:
+        return depth
+    closed = 1 - deeper.size / known.size
+    ranks = np.interp(depth, np.quantile(deeper, _MARKS), closed + (1 - closed) * _MARKS)
+    return np.where(depth == -np.inf, np.float32(-np.inf), ranks.astype(np.float32))
