@@ -32,7 +32,7 @@ SHAPES = "shape index"
 LEAST = 32
 """Voxels of exemplar and result along every axis, to be measured."""
 
-_BYTES = 33  # of a voxel of a box while it is measured; where walls are thin, most are surface
+_BYTES = 24  # of a voxel of a box, at most, while it is measured
 _REACH = 20  # voxels: the largest distance of the two-point function
 _FAR, _NEAR = 3.0, 0.05  # off: beyond so many spreads, and by more than that
 _VAGUE = 0.4  # a figure that spreads by more of itself says nothing

@@ -45,6 +45,7 @@ _MARGIN = 1.5  # edges of a cell by which the torus is larger than an axis that 
 _PROCESS = 220 << 20
 _VOXEL = 16.2  # bytes: cell, distance, its copy while boundaries are drawn, values
 _MASKED = 6  # bytes a voxel more with a mask
+_SURFACE = 9  # bytes of a voxel of a box more while it is measured: in thin walls, most are surface
 _GRADED = 24  # and with a target field
 _POINT = 24  # bytes of a point of the grid on which cells grow, while neighbours are found
 _SEED = 1300  # bytes of a seed with the candidates of its blocks and the cells that touch it
@@ -310,7 +311,7 @@ class TessellationModel(PictureModel):
         if exemplar.ndim == 2 or request.asks_for() - {"periodic"}:
             return 0
         stages = figure_stages(request.shape, exemplar.shape, box=BOX)
-        copy = prod(min(side, BOX) for side in request.shape)
+        copy = _SURFACE * prod(min(side, BOX) for side in request.shape)
         return self.output_bytes(request) + copy + sum(stage.working for stage in stages)
 
 
