@@ -49,7 +49,7 @@ def image_cells() -> None:
         "s",
         wide=28,
     )
-    for name, make in _truths().items():
+    for name, make in truths().items():
         truth = make()
         picture = take_slices(truth, "yx", 1)[0]
         row(f"{name}: the section", *_cells_of([plane_cells(picture)]), "-", "-", "-", "-")
@@ -68,7 +68,7 @@ def image_cells() -> None:
         draw(f"cells {name}", [picture], volumes)
 
 
-def _truths() -> Mapping[str, Callable[[], tb.Image]]:
+def truths() -> Mapping[str, Callable[[], tb.Image]]:
     walls = tb.method("noise", kind="voronoi", thickness=2.5, length=16)
     return {
         "Voronoi": lambda: walls.fit().generate(160, seed=1),

@@ -22,6 +22,7 @@ import bubbles
 import bubbles_figures
 import bubbles_fit
 import by_example
+import closed_cells
 import conduction
 import drainage
 import ensemble_rates
@@ -135,6 +136,7 @@ CASES: dict[str, Callable[[], None]] = {
     "gan_weights": gan_weights.gan_weights,
     "image_likeness": image.image_likeness,
     "image_cells": image_cells.image_cells,
+    "closed_cells": closed_cells.closed_cells,
     "sections": sections.sections,
     "section_verdicts": sections.section_verdicts,
     "image_paper": image_paper.image_paper,

@@ -261,7 +261,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kill -9 is of POSIX")
 def test_killed_again_and_again_and_resumed_by_the_command(place):
     """Kill runs of 30 blocks and coarser levels; the first command is typed once, then only

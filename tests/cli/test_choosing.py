@@ -98,7 +98,7 @@ def test_a_store_that_does_not_fit_is_inspected_in_its_middle(monkeypatch):
         assert line.status == 2 and "--crop auto looks at all of padded.zarr" in line.err
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_a_micrograph_works_at_once():
     made = trabecula("generate", "picture.png", "--shape", 16, "--seed", 1, "--out", "more.zarr")
     assert choice(made) == [BY_PROCESS]
@@ -145,6 +145,31 @@ def test_separate_balls_are_packed_unless_packing_cannot_make_what_is_asked_for(
     assert (tb.read("beside.zarr").values[:, :, :60] == beads).all()
     large = attempt("plan", "beads.tif", "--shape", 900, "--memory", 2)
     assert choice(large) == ["trabecula: method texture"]
+
+
+def test_closed_cells_are_made_anew_unless_their_walls_cannot_be(tmp_path):
+    cells = tb.sample("cells")
+    tb.write(tb.crop(cells, 48), tmp_path / "cells.tif")
+    name = str(tmp_path / "cells.tif")
+    small = ("--set", "lloyd_steps=1", "--set", "volume_spread=0.2", "--set", "rounding=0.2")
+    target = ("--target", "porosity=0.5")
+    trabecula(
+        "generate",
+        name,
+        "--method",
+        "tessellation",
+        *small,
+        *target,
+        "--shape",
+        40,
+        "--out",
+        "c.zarr",
+    )
+    assert np.mean(tb.read("c.zarr").values == 0) == pytest.approx(0.5, abs=1e-3)
+    assert choice(attempt("plan", name, "--shape", 40)) == ["trabecula: method tessellation"]
+    fixed = ("--fixed", name, "--at", "0", "0", "0", "--shape", "48", "48", "64")
+    for words in ((*fixed,), (name, "--shape", 40), ("--shape", 3000)):
+        assert choice(attempt("plan", name, *words)) == ["trabecula: method texture"]
 
 
 @pytest.mark.whole

@@ -57,6 +57,7 @@ def test_of_equals_the_settings_as_they_are_stay_and_what_was_set_is_not_tried(b
         assert offered and not any("search" in one for one in offered)
 
 
+@pytest.mark.slow
 def test_another_method_is_tried_beside_the_settings(bone, monkeypatch):
     judge(monkeypatch, [3, 2, 3, 1])
     asked = tb.method("texture", tries=1)

@@ -431,7 +431,7 @@ def test_grey_values_are_compared_as_they_are_where_asked(place):
     assert "Autocorrelation along x" in (place / "page.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_several_files_are_judged_and_a_page_is_written(place):
     generate("scan.npy", "--seed", 1, out="one.zarr")
     generate("scan.npy", "--seed", 2, out="two.npy")

@@ -316,6 +316,13 @@ def _texture_beside(**settings: Any) -> tb.Image:
     return learned.generate(shape, seed=6, fixed=held, known=known)
 
 
+@case("tessellation-scan")
+def _tessellation_scan() -> tb.Image:
+    learned = tb.method("tessellation", volume_spread=0.25, lloyd_steps=1, rounding=0.2)
+    model = learned.fit(tb.crop(tb.sample("cells"), 48))
+    return model.generate(SHAPE, seed=4, target={"porosity": ramp(0.4, 0.55)})
+
+
 @case("texture-graded")
 def _texture_graded() -> tb.Image:
     return model("texture").generate(SHAPE, seed=6, target={"porosity": ramp(0.7, 0.9)})

@@ -76,7 +76,7 @@ def test_the_exemplar_itself_has_no_distance_and_is_named_a_copy(exemplar):
     assert any("quick" in reason for reason in quick.undecided)
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_another_sample_passes_what_shuffled_voxels_fail(exemplar):
     other = verify(exemplar, like(exemplar, field(1)))
     shuffled = verify(
@@ -412,7 +412,7 @@ def test_what_does_not_correspond_is_refused(exemplar):
         verify(exemplar, exemplar, level="ful")
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_the_full_level_adds_physics_with_its_own_bands():
     solid = field(12, (48, 48, 48), share=0.4)
     certificate = verify(solid, field(13, (48, 48, 48), share=0.4), level="full", box=16)

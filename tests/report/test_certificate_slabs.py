@@ -50,7 +50,7 @@ def test_slabs_are_checked_as_images_are(pair):
         tb.verify(picture, as_slabs(image))
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_a_file_that_does_not_fit_is_judged_in_slabs_as_the_exemplar_says(pair, tmp_path):
     exemplar, image = pair
     scan = tb.write(exemplar, tmp_path / "scan.zarr")

@@ -59,7 +59,7 @@ def test_other_samples_of_the_material_pass(certificate):
     assert certificate.copying.closest > 0.8 and not certificate.copying.faults
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_members_cut_from_the_exemplar_are_called_copies():
     scan, far = material(0, 48), slice(24, 48)
     cut = [scan.values[:24, :24, :24], scan.values[far, far, far]]
@@ -143,7 +143,7 @@ def test_members_as_large_as_the_exemplar_are_judged_by_extrapolation(members):
     assert repeated.metrics["porosity"].verdict == SMALL
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_the_extrapolated_spread_is_that_of_larger_boxes():
     """The deviation predicted from parts half as wide, against that of many boxes."""
     figures = EnsembleFigures("quick", {"one": 2.0})

@@ -264,7 +264,7 @@ def test_fewer_than_six_correlation_lengths():
     assert found.stationarity.stationary is None or not found.stationarity.stationary
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_a_grey_scan_says_how_well_it_parts():
     solid = gaussian_field(0).values
     noise = np.random.default_rng(0).normal(0, 1, solid.shape)

@@ -98,7 +98,7 @@ def test_uneven_samples_of_the_package_fail(name):
     assert list_failures(exemplar, exemplar) == []
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_uneven_scans_fail(data):
     for name in ("trabecular_bone_a", "trabecular_bone_b", "berea_sandstone_a", "nmc_electrode_a"):
         scan = tb.crop(tb.read(data / f"{name}.tif"), 120)

@@ -190,7 +190,7 @@ def test_a_picture_of_one_value_or_too_small_is_refused():
         tb.method("kopf").fit(stripes((11, 40)))
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_berea_from_one_slice(data):
     """The covariance of the scan comes out of a slice about as well as the slice itself has it
     (0.13).

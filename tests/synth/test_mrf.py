@@ -386,7 +386,7 @@ def test_recipes_of_before_keep_their_order():
     assert recorded_method("mrf", {"relaxation": "icm", "order": "random"}).config.order == "random"
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_the_papers_preset_keeps_both_phases(picture):
     """With h_opt and temperature 1 at the start, as written, one phase is left."""
     shares = []
@@ -557,7 +557,7 @@ def test_two_pictures_rule_their_own_planes():
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("kind", ["grey", "colour"])
+@pytest.mark.parametrize("kind", ["grey", pytest.param("colour", marks=pytest.mark.slow)])
 def test_grey_and_colour_take_real_values(kind):
     rng = np.random.default_rng(9)
     smooth = np.fft.ifft2(np.fft.fft2(rng.normal(size=(32, 32))) * _band(32, 8)).real
@@ -620,7 +620,9 @@ def test_known_voxels_are_halved_to_the_first_of_eight():
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("relaxation", ["gibbs", "icm", "annealing"])
+@pytest.mark.parametrize(
+    "relaxation", ["gibbs", pytest.param("icm", marks=pytest.mark.slow), "annealing"]
+)
 def test_an_interrupted_run_goes_on_bit_for_bit(relaxation, picture, tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint, "EVERY", 0.0)
     monkeypatch.setattr(checkpoint, "_SHARE", 0)

@@ -138,7 +138,7 @@ def test_figures_in_correlation_lengths_do_not_depend_on_the_scale():
 @pytest.mark.parametrize(
     ("name", "fraction"),
     [
-        ("gaussian", 0.4),
+        pytest.param("gaussian", 0.4, marks=pytest.mark.slow),
         pytest.param("overlapping_spheres", 0.5, marks=pytest.mark.slow),
         pytest.param("void_mixed_spheres", 0.85, marks=pytest.mark.slow),
         ("struts", 0.2),
@@ -174,6 +174,7 @@ def test_pictures_that_no_process_is_for_say_why():
         tb.method("kopf", process="packed_sphere")
 
 
+@pytest.mark.slow
 def test_what_would_fall_apart_or_is_neither_joined_nor_apart_is_passed_over(monkeypatch):
     """Of discs in void a slice cannot tell balls from rods: a body that holds itself is not balls.
     Without a void either will do.

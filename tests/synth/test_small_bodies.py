@@ -179,7 +179,7 @@ def test_the_same_seed_gives_the_same_bodies():
     assert np.array_equal(first, again) and not np.array_equal(first, other)
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_new_material_has_the_exemplars_voids():
     """Voids that a mean of neighbourhoods loses: with it alone the Euler density was a third to a
     half of the exemplar's.

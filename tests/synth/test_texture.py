@@ -151,7 +151,7 @@ def test_porosity_is_exact():
     assert np.count_nonzero(material.values) == round(material.values.size * share)
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_three_phases_keep_their_fractions_and_their_contacts():
     """Balls of `core` in a shell of `shell` in void: core and void never touch, in the exemplar or
     the result.
@@ -208,7 +208,9 @@ def test_settings_out_of_range_are_refused():
     ("layout", "most"),
     [
         pytest.param("coarse", 0.06, marks=pytest.mark.slow),
-        ("structure", 0.075),  # a shortfall: the goal is 0.06, the default reaches 0.064
+        pytest.param(
+            "structure", 0.075, marks=pytest.mark.slow
+        ),  # a shortfall: the goal is 0.06, the default reaches 0.064
     ],
 )
 def test_bone_from_a_scan_reaches_the_goal(layout, most, data):

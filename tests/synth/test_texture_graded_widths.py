@@ -31,7 +31,7 @@ def at_its_own_porosity(exemplar, side):
     return changes(made) / changes(exemplar)
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_bodies_wider_than_a_narrow_window_are_not_cut_up():
     """In windows of 20 voxels for all they had 1.5 times their interface."""
     bone = tb.crop(tb.sample("bone"), 40, corner=(0, 0, 0))

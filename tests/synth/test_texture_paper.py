@@ -556,7 +556,7 @@ def test_the_iso_value_of_a_fraction_holds_it_to_the_voxel():
     assert share["middle"] != pytest.approx(share["fraction"], abs=1e-3)
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_the_preset_keeps_thin_struts_at_their_own_iso_value():
     """With steps of half the width and 95 % of the variance a quarter of the bone is lost."""
     exemplar = tb.crop(tb.sample("bone"), 32)

@@ -43,7 +43,7 @@ def misfit(exemplar, image):
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("novelty", [0, 1])
+@pytest.mark.parametrize("novelty", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_a_periodic_tile_repeats_without_a_seam(bone, novelty):
     side, margin = 56, 16
     model = tb.method("texture", novelty=novelty).fit(bone)

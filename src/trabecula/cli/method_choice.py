@@ -46,14 +46,16 @@ def method_for(
     if found.method is None:
         raise InputError(f"no method was named, and none fits: {found.reason}")
     name = found.method
-    if exemplars[0].ndim == 3 and not graded and (why := _hindrance(name, options, shape)):
+    several = len(exemplars) > 1
+    hindrance = _hindrance(name, options, shape, several=several) if exemplars[0].ndim == 3 else ""
+    if hindrance:
         name = "texture"
         found = replace(
             found,
             method=name,
             preset=None,
             settings={},
-            reason=f"{found.method} would be taken, and {why}",
+            reason=f"{found.method} would be taken, and {hindrance}",
         )
     chosen = ""
     if plain:
@@ -62,14 +64,22 @@ def method_for(
     return method(name, preset=preset, **settings), line
 
 
-def _hindrance(name: str, options: argparse.Namespace, shape: Sequence[int] | None) -> str:
-    """Return why a method cannot make the request; empty where it can."""
+def _hindrance(
+    name: str,
+    options: argparse.Namespace,
+    shape: Sequence[int] | None,
+    *,
+    several: bool = False,
+) -> str:
+    """Return why a method cannot make the request of a volume or of several; empty where it can."""
     from trabecula.engine.memory import available_memory
     from trabecula.synth.api.registry import methods
 
     known = methods()[name]
     if getattr(options, "fixed", None) is not None and "fixed" not in known.honours:
         return "makes nothing beside known voxels"
+    if several and "volumes" not in known.learns_from:
+        return "learns from one scan"
     budget = available_memory() if options.memory is None else options.memory
     if known.large == "memory" and _VOXEL * prod(shape or (0,)) > budget:
         return "the result is too large for it to be made in memory"

@@ -158,7 +158,7 @@ def peaks_of(lengths, folder):
     return peaks[1:]
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_volume(tmp_path):
     peaks = call_alone(peaks_of, (24, 144), str(tmp_path))
     assert peaks[1] - peaks[0] < 120 * 24 * 24 // 4, "in core 5 bytes a voxel"
