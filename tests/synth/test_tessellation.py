@@ -278,6 +278,16 @@ def test_walls_are_as_thick_as_a_target_says(foam_model):
     assert np.mean(made.values[mask] == 0) == pytest.approx(ramp[mask].mean(), abs=1e-3)
 
 
+def test_a_target_of_walls_that_are_void(foam):
+    swapped = tb.Image(1 - foam.values, "labels", phases=("void", "solid"))
+    model = tb.method("tessellation", **FAST).fit(swapped)
+    made = model.generate(40, seed=1, target={"porosity": 0.35})
+    assert np.mean(made.values == 0) == pytest.approx(0.35, abs=1e-4)
+    least, most = model.porosities()
+    assert 0.05 < least < 0.2
+    assert most == 1
+
+
 def test_walls_thinner_than_a_voxel_are_refused(foam_model):
     least, most = foam_model.porosities()
     assert least == 0

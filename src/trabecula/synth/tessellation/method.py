@@ -22,9 +22,10 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import generator
 from trabecula.core.target import porosity_of
 from trabecula.exemplar.views import PLANES, View, as_axis, take_slices, views_of
+from trabecula.measure.centre_crop import centre, clip_sides
 from trabecula.measure.closed_cells import BOX as CENTRE
 from trabecula.measure.closed_cells import BYTES as CENTRE_BYTES
-from trabecula.measure.closed_cells import wall_phase
+from trabecula.measure.closed_cells import thickening, wall_phase
 from trabecula.measure.plane_cells import boundary_phase
 from trabecula.synth.api.model import ModelState, as_request
 from trabecula.synth.shared.own_figures import BOX, OwnFigures, figure_stages, tell_off
@@ -36,6 +37,7 @@ from trabecula.synth.tessellation.laguerre import Diagram, PointGrid
 from trabecula.synth.tessellation.sections import (
     SectionFigures,
     Shape,
+    SolidWalls,
     draw_boundaries,
     shape_of,
 )
@@ -51,6 +53,7 @@ _POINT = 24  # bytes of a point of the grid on which cells grow, while neighbour
 _SEED = 1300  # bytes of a seed with the candidates of its blocks and the cells that touch it
 _PIXEL = 72  # bytes of a pixel of a picture while its cells are found
 _TRIAL, _SECTION = 840 << 10, 64  # bytes of a small tessellation, and of a pixel of its sections
+_TRIAL_BOX = 12 << 20  # bytes of a box of it in space, at most
 _WIDEST = 256  # pixels of a section
 _THIN, _THIN_BOX = 4.0, (24, 72)  # edges of cells in a box of walls of a voxel; its side, voxels
 
@@ -121,8 +124,8 @@ class Tessellation(PictureMethod):
         cells = _PIXEL * max(prod(sorted(image.shape)[-2:]) for image in exemplars)
         width = min(_WIDEST, *(min(image.shape) for image in exemplars))
         trial = _TRIAL + _SECTION * width**2
-        centre = CENTRE_BYTES * prod(min(CENTRE, side) for side in exemplars[0].shape)
-        most = max(cells, trial, centre if exemplars[0].ndim == 3 else 0)
+        box = CENTRE_BYTES * prod(min(CENTRE, side) for side in exemplars[0].shape)
+        most = max(cells, trial, max(box, _TRIAL_BOX) if exemplars[0].ndim == 3 else 0)
         return {"interpreter and kernels": _PROCESS, "cells or trials": most}
 
 
@@ -363,6 +366,7 @@ def _learned(
         replace(figures, walls=float(counts[boundary] / counts.sum())) if solid else figures,
         min(min(one.shape) for one in pictures),
         config.neck,
+        SolidWalls(_thickening(exemplars[0], boundary), stretch) if solid else None,
         spread=config.volume_spread,
         lloyd_steps=config.lloyd_steps,
         rounding=config.rounding,
@@ -382,6 +386,12 @@ def _stretch(views: Sequence[View], boundary: int) -> tuple[float, float, float]
         for axis, along in zip(view.across, range(2), strict=True):
             lines[axis].append(_log_intercept(view.image, boundary, along))
     return _over_mean([float(np.mean(lines[axis])) for axis in range(3)])
+
+
+def _thickening(volume: Image, boundary: int) -> float:
+    """Return the thickening of the walls in the centre of a volume."""
+    values = centre(volume.values, clip_sides((CENTRE,) * 3, volume.values.shape))
+    return thickening(values == boundary)
 
 
 def _stretch_of(volume: Image, boundary: int) -> tuple[float, float, float]:

@@ -23,13 +23,15 @@ from trabecula.synth.tessellation.laguerre import Diagram, PointGrid
 
 SPREADS = (0.0, 0.25, 0.5, 0.75, 1.0)
 STEPS = (0, 1, 3, 8)
-ROUNDINGS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4)
+ROUNDINGS, FINER = (0.0, 0.1, 0.2, 0.3, 0.4), 0.05
 
 _SHARES = np.linspace(0.1, 0.9, 9)
 _CELLS = 216
 _PLANES = 4  # along every axis
 _WIDTH = 10.0  # of a section over the edge of a cell, at most; sections go around the torus
 _PIXELS = 20.0  # of a cell's edge in a trial, at most
+_BOX, _BOX_SIDES = 5.0, (32, 72)  # edges of cells in a box whose walls are looked at; its sides
+_SURE, _SURER = 0.1, 0.01  # what round corners have to be nearer by, in sections and in space
 _MARKS = np.linspace(0, 1, 1025)  # shares whose depth is known
 _FINE = 256.0  # pixels of a section whose walls are looked at, at most
 _POINTS = 5.0
@@ -127,10 +129,21 @@ class Shape:
     """Of the sections that were made to the picture's."""
 
 
+@dataclass(frozen=True)
+class SolidWalls:
+    """What a scan tells of its walls in space."""
+
+    thick: float
+    """Thickening."""
+    stretch: tuple[float, float, float]
+    """Lengths of cells along z, y, x over their geometric mean, in voxels."""
+
+
 def shape_of(
     picture: SectionFigures,
     width: float,
     neck: float,
+    solid: SolidWalls | None = None,
     *,
     spread: float | None,
     lloyd_steps: int | None,
@@ -139,10 +152,10 @@ def shape_of(
     """Return the settings whose sections are most like the picture; those that are given stay.
 
     `width` is the shorter side of the picture, pixels. Spread and steps are searched in turns along
-    `SPREADS` and `STEPS`, then the rounding.
+    `SPREADS` and `STEPS`, then the rounding: in space where a scan tells of its walls.
     """
     density = (picture.density / _PER_SECTION) ** 1.5
-    trial = _Trial(picture, width, neck, density)
+    trial = _Trial(picture, width, neck, density, solid)
     found = Shape(density, 0.4, 3, 0.0, picture.walls, np.inf)
     found = replace(
         found,
@@ -158,8 +171,12 @@ def shape_of(
             steps = min(STEPS, key=lambda one: trial.off(replace(found, lloyd_steps=one)))
             found = replace(found, lloyd_steps=steps)
     if rounding is None:
-        radius = min(ROUNDINGS, key=lambda one: trial.corners_off(replace(found, rounding=one)))
-        found = replace(found, rounding=radius)
+        off = {one: trial.corners_off(replace(found, rounding=one)) for one in ROUNDINGS}
+        best = min(off, key=lambda one: off[one])
+        for near in (best - FINER, best + FINER):
+            if near >= 0:
+                off[near] = trial.corners_off(replace(found, rounding=near))
+        found = replace(found, rounding=min(off, key=lambda one: off[one]))
     made = trial.figures(found)
     scale = (picture.density / made.density) ** 1.5
     return replace(found, density=density * scale, difference=picture.difference(made))
@@ -168,8 +185,16 @@ def shape_of(
 class _Trial:
     """Small tessellations, cut and measured; each is made once."""
 
-    def __init__(self, picture: SectionFigures, width: float, neck: float, density: float) -> None:
+    def __init__(
+        self,
+        picture: SectionFigures,
+        width: float,
+        neck: float,
+        density: float,
+        solid: SolidWalls | None = None,
+    ) -> None:
         self.picture, self.width, self.neck, self.density = picture, width, neck, density
+        self.solid = solid
         self._grown: dict[tuple[float, int], Diagram] = {}
         self._seen: dict[tuple[float, int, float], SectionFigures] = {}
 
@@ -179,9 +204,13 @@ class _Trial:
 
     def corners_off(self, shape: Shape) -> float:
         """Return how far the corners of boundaries are off; sharp ones are taken unless round ones
-        are nearer by more than sections scatter.
+        are nearer by more than what is looked at scatters.
         """
-        return abs(self.picture.thick - self.thick(shape)) + 0.1 * shape.rounding
+        if self.solid is not None:
+            return abs(self.solid.thick - self._thick_in_space(shape, self.solid.stretch)) + (
+                _SURER * shape.rounding
+            )
+        return abs(self.picture.thick - self.thick(shape)) + _SURE * shape.rounding
 
     def thick(self, shape: Shape) -> float:
         """Return the thickening of the walls of sections with pixels as fine as the picture's:
@@ -189,6 +218,18 @@ class _Trial:
         """
         width = min(self.width, _WIDTH * self.density ** (-1 / 3), _FINE)
         return float(np.mean([thickening(plane) for plane in self._sections(shape, width, 1.0)]))
+
+    def _thick_in_space(self, shape: Shape, stretch: Sequence[float]) -> float:
+        """Return the thickening of the walls of a box with voxels as fine as the scan's."""
+        diagram = self._diagram(shape.spread, shape.lloyd_steps)
+        edge = self.density ** (-1 / 3)
+        sides = [int(np.clip(_BOX * edge * long, *_BOX_SIDES)) for long in stretch]
+        axes = zip(sides, stretch, strict=True)
+        grid = PointGrid(*((np.arange(side) + 0.5) / long for side, long in axes))
+        owner = diagram.cells(grid)
+        touching = diagram.neighbours([round(float(diagram.sides[0]) / edge * _POINTS)] * 3)
+        depth = diagram.face_distance(grid, owner, touching, shape.rounding * edge)
+        return thickening(draw_boundaries(owner, depth, self.picture.walls))
 
     def figures(self, shape: Shape) -> SectionFigures:
         """Return the figures of sections of a trial."""
