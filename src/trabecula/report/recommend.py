@@ -107,8 +107,6 @@ def _for_little(image: Image) -> Recommendation:
 def _for_fields(image: Image, names: Collection[str]) -> Recommendation:
     """Choose for a volume of labels and target fields."""
     others = sorted(name for name in names if name not in _DENSITIES)
-    if not others and (walls := wall_phase(image)) is not None:
-        return _for_cells(image, walls)
     if "orientation" in others:
         return Recommendation(
             "quilt",
@@ -127,6 +125,8 @@ def _for_fields(image: Image, names: Collection[str]) -> Recommendation:
             "are there for gradients in every direction",
             settings={"orientations": "all"},
         )
+    if len(image.phases) == 2 and (walls := wall_phase(image)) is not None:
+        return _for_cells(image, walls)
     if len(image.phases) > 2:
         return Recommendation(
             "quilt", f"{len(image.phases)} phases, and texture grades a void and one other phase"

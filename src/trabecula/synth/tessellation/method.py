@@ -337,7 +337,8 @@ def _learned(
     """Find the cells of pictures, or of sections of a volume, and the settings whose sections are
     most like them.
     """
-    pictures = list({view.picture: view.image for view in views}.values())
+    numbered = {view.picture: view.image for view in views}
+    pictures = [numbered[number] for number in sorted(numbered)]
     solid = exemplars[0].ndim == 3
     names = pictures[0].phases
     if config.boundary is None:
@@ -366,7 +367,7 @@ def _learned(
         replace(figures, walls=float(counts[boundary] / counts.sum())) if solid else figures,
         min(min(one.shape) for one in pictures),
         config.neck,
-        SolidWalls(_thickening(exemplars[0], boundary), stretch) if solid else None,
+        _solid_walls(exemplars[0], boundary, stretch) if solid else None,
         spread=config.volume_spread,
         lloyd_steps=config.lloyd_steps,
         rounding=config.rounding,
@@ -388,10 +389,14 @@ def _stretch(views: Sequence[View], boundary: int) -> tuple[float, float, float]
     return _over_mean([float(np.mean(lines[axis])) for axis in range(3)])
 
 
-def _thickening(volume: Image, boundary: int) -> float:
-    """Return the thickening of the walls in the centre of a volume."""
-    values = centre(volume.values, clip_sides((CENTRE,) * 3, volume.values.shape))
-    return thickening(values == boundary)
+def _solid_walls(
+    volume: Image, boundary: int, stretch: tuple[float, float, float]
+) -> SolidWalls | None:
+    """Return what the centre of a volume tells of its walls; None where it holds none, or nothing
+    else.
+    """
+    walls = centre(volume.values, clip_sides((CENTRE,) * 3, volume.values.shape)) == boundary
+    return SolidWalls(thickening(walls), stretch) if 0 < walls.mean() < 1 else None
 
 
 def _stretch_of(volume: Image, boundary: int) -> tuple[float, float, float]:
