@@ -125,7 +125,9 @@ class Tessellation(PictureMethod):
         width = min(_WIDEST, *(min(image.shape) for image in exemplars))
         trial = _TRIAL + _SECTION * width**2
         box = CENTRE_BYTES * prod(min(CENTRE, side) for side in exemplars[0].shape)
-        most = max(cells, trial, max(box, _TRIAL_BOX) if exemplars[0].ndim == 3 else 0)
+        if self.config.rounding is None:
+            box = max(box, _TRIAL_BOX)
+        most = max(cells, trial, box if exemplars[0].ndim == 3 else 0)
         return {"interpreter and kernels": _PROCESS, "cells or trials": most}
 
 
@@ -367,7 +369,9 @@ def _learned(
         replace(figures, walls=float(counts[boundary] / counts.sum())) if solid else figures,
         min(min(one.shape) for one in pictures),
         config.neck,
-        _solid_walls(exemplars[0], boundary, stretch) if solid else None,
+        _solid_walls(exemplars[0], boundary, stretch)
+        if solid and config.rounding is None
+        else None,
         spread=config.volume_spread,
         lloyd_steps=config.lloyd_steps,
         rounding=config.rounding,
