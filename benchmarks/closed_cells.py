@@ -8,15 +8,15 @@ import numpy as np
 
 import trabecula as tb
 from common import asked, busy, pictures, table
+from forms import NAMES
 from image_cells import truths
-from texture import cells, judged, reference_of
+from texture import cells, judged, out_of_band, reference_of
 from trabecula.core.errors import InputError
 from trabecula.measure.labelling import label_components
 from trabecula.view.slices import montage
 
 SIDE = 96
 METHODS = ("tessellation", "texture", "packing")
-NAMES = ("shape", "S2 cov", "thickness", "Euler", "pore size", "coh(4)")
 
 
 def closed_cells() -> None:
@@ -37,11 +37,9 @@ def closed_cells() -> None:
                 continue
             seconds, made = busy(lambda m=model: m.generate(120, seed=1))
             metrics = judged(reference, made)
-            passed = [one.passed for one in metrics.values() if one.passed is not None]
             row(
                 f"{name}, {method}",
-                passed.count(False),
-                len(passed),
+                *out_of_band(metrics),
                 f"{_largest(made):.3f}",
                 *cells(metrics, NAMES),
                 f"{learning:.1f}",
@@ -50,10 +48,8 @@ def closed_cells() -> None:
             shown[method] = tb.Image(made.values[60, :SIDE, :SIDE], "labels")
         folder = pictures()
         if folder:
-            tb.write(
-                montage(list(shown.values()), list(shown)),
-                folder / f"closed-{name.replace(' ', '-')}.png",
-            )
+            file = folder / f"closed-{name.replace(' ', '-').replace(':', '-')}.png"
+            tb.write(montage(list(shown.values()), list(shown)), file)
 
 
 def _materials() -> Iterator[tuple[str, tb.Image]]:

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 import trabecula as tb
 from common import asked, busy, table
-from texture import KINDS, cells, fitted, judged, reference_of
+from texture import KINDS, cells, fitted, judged, out_of_band, reference_of
 
 SIDE, EXEMPLAR = 160, 96
 SEEDS = (1, 2)
@@ -31,14 +31,7 @@ def texture_forms() -> None:
 
         def line(words: str, image: tb.Image, seconds: str, name=name, reference=reference) -> None:
             metrics = judged(reference, image)
-            passed = [one.passed for one in metrics.values() if one.passed is not None]
-            row(
-                f"{name}, {words}",
-                passed.count(False),
-                len(passed),
-                *cells(metrics, NAMES),
-                seconds,
-            )
+            row(f"{name}, {words}", *out_of_band(metrics), *cells(metrics, NAMES), seconds)
 
         line("another part", other, "")
         for kind, settings in KINDS.items():

@@ -11,7 +11,7 @@ from common import SCANS as FOLDER
 from common import asked, busy, pictures, table
 from descriptors import GREY, scans
 from forms import FORMS, made_form
-from texture import judged, reference_of
+from texture import judged, out_of_band, reference_of
 from trabecula.view.slices import montage
 
 SIDE, EXEMPLAR = 100, 96
@@ -155,10 +155,9 @@ def packing_joints() -> None:
 
             def figures(image: tb.Image, case=case, reference=reference, own=thickness):
                 part = _part(image, case)
-                metrics = judged(reference, part).values()
-                passed = [one.passed for one in metrics if one.passed is not None]
+                off = out_of_band(judged(reference, part))
                 wide = f"{tb.measure.thickness(part) / own:.2f}"
-                return (*_told(image.values, case), wide, passed.count(False), len(passed))
+                return (*_told(image.values, case), wide, *off)
 
             own = _told(exemplar.values, "exemplar")[2:]
             row(f"{name}, {case}, the exemplar", "", "", "", *own, "1.00", "", "", "", "")

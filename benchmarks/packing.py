@@ -9,8 +9,8 @@ import numpy as np
 
 import trabecula as tb
 from common import asked, busy, table
-from forms import FORMS, ends, made_form
-from texture import cells, judged, reference_of, wholes
+from forms import FORMS, NAMES, ends, made_form
+from texture import cells, judged, out_of_band, reference_of, wholes
 from trabecula.core.errors import InputError
 
 SEEDS = (1, 2, 3)
@@ -18,7 +18,6 @@ SIDE = 96
 GRAINS = ("cemented grains", "beads", "suspension", "soil, Otsu", "cement, Otsu", "NMC", "Berea")
 NO_GRAINS = ("cathode, coarse", "grey bone, Otsu", "bone a", "sample foam")
 FIBRES = ("fibres", "polymer fibres, Otsu", "weave, Otsu")
-NAMES = ("shape", "S2 cov", "thickness", "Euler", "pore size", "coh(4)")
 
 
 def packing() -> None:
@@ -49,8 +48,7 @@ def _beside(other: str, names: Sequence[str]) -> None:
             for seed in SEEDS:
                 seconds, made = busy(lambda m=model, s=seed: m.generate(120, seed=s))
                 metrics = judged(reference, made)
-                passed = [one.passed for one in metrics.values() if one.passed is not None]
-                told = (passed.count(False), len(passed), *cells(metrics, NAMES), f"{seconds:.2f}")
+                told = (*out_of_band(metrics), *cells(metrics, NAMES), f"{seconds:.2f}")
                 row(f"{name}, {method}, {seed}", *told)
 
 

@@ -91,6 +91,12 @@ def judged(reference: Reference, image: tb.Image) -> dict[str, Metric]:
     return reference.judge(reference.measure(image), copies)
 
 
+def out_of_band(metrics: Mapping[str, Metric]) -> tuple[int, int]:
+    """How many figures are out of band, and how many are judged."""
+    passed = [one.passed for one in metrics.values() if one.passed is not None]
+    return passed.count(False), len(passed)
+
+
 # How a figure is told: as it is, as a whole number, times 100, or over the exemplar's own.
 _PLAIN, _WHOLE, _HUNDRED, _RATIO = "plain", "whole", "hundred", "ratio"
 FIGURES = {

@@ -16,10 +16,12 @@ from trabecula.measure.labelling import label_components, labels_at_faces
 BOX = 128
 """Voxels a side of the centre that is looked at, at most."""
 
+ALONE = 0.3
+"""Of a phase: the largest share of one component at which the phase still consists of bodies."""
+
 BYTES = 16
 """Of a voxel of that centre, at its peak."""
 
-_ALONE = 0.3  # of what is not walls: the largest cell, at most
 _CELLS, _CELL = 5, 20  # whole cells, of so many voxels each, at least
 _FILLED = 0.3  # of the volume, that cells fill at least
 _EVEN = 1.2  # thickening of walls, at most: of foams 1.02 to 1.14, between balls 1.27 to 1.37
@@ -46,7 +48,7 @@ def _whole_cells(interior: np.ndarray) -> int:
     if interior.mean() < _FILLED:
         return 0
     labels, sizes = label_components(interior, connectivity=6)
-    if sizes.max() > _ALONE * sizes.sum():
+    if sizes.max() > ALONE * sizes.sum():
         return 0
     whole = (sizes >= _CELL) & ~labels_at_faces(labels, len(sizes))[1:]
     return int(whole.sum()) if whole.sum() >= _CELLS else 0

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.measure.closed_cells import ALONE
 from trabecula.measure.grey import grey_values, near_one
 from trabecula.measure.labelling import label_components, labels_at_faces
 from trabecula.measure.partition import REACH, SMOOTHING
@@ -37,8 +38,6 @@ ORDER_DEEP = 0.2
 """
 BODIES, BODY = 20, 60
 """Components, of so many voxels each, that show whether they are of one shape."""
-ALONE = 0.3
-"""Of a phase: the largest share of one component at which the phase still consists of bodies."""
 COMPACT, ROUND = 0.75, 0.93
 """Volume over that of a ball with the same radius of gyration, in the median, of bodies that are
 separate, and that are cut apart. A ball has 1, a cube .89, a rod three times as long as wide .38.

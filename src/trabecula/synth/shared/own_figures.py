@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -148,10 +149,11 @@ def off_line(figures: Mapping[str, Figure]) -> str:
     return "; ".join(figures[name].describe(name) for name in names)
 
 
-def tell_off(figures: Mapping[str, Figure], advice: str = "") -> None:
-    """Say what is off, where something is."""
+def tell_off(figures: Mapping[str, Figure], advice: str = "") -> dict[str, Any]:
+    """Say what is off, where something is, and return the figures for a report."""
     if line := off_line(figures):
         notify(f"off beyond the exemplar's own spread: {line}{advice}")
+    return {"figures": {name: one.to_json() for name, one in figures.items()}}
 
 
 def figure_stages(shape: Sequence[int], exemplar: Sequence[int], *, box: int) -> tuple[Stage, ...]:

@@ -29,7 +29,8 @@ from trabecula.measure.closed_cells import thickening, wall_phase
 from trabecula.measure.plane_cells import boundary_phase
 from trabecula.synth.api.model import ModelState, as_request
 from trabecula.synth.shared.own_figures import BOX, OwnFigures, figure_stages, tell_off
-from trabecula.synth.shared.pictures import PictureMethod, PictureModel
+from trabecula.synth.shared.pictures import ROOM, PictureMethod, PictureModel
+from trabecula.synth.shared.slabs import tally_by_slabs
 from trabecula.synth.tessellation import CAPABILITIES
 from trabecula.synth.tessellation.config import TessellationConfig
 from trabecula.synth.tessellation.grains import POINTS, grow_grains
@@ -39,6 +40,7 @@ from trabecula.synth.tessellation.sections import (
     Shape,
     SolidWalls,
     draw_boundaries,
+    draw_walls,
     shape_of,
 )
 
@@ -54,13 +56,14 @@ _SEED = 1300  # bytes of a seed with the candidates of its blocks and the cells 
 _PIXEL = 72  # bytes of a pixel of a picture while its cells are found
 _TRIAL, _SECTION = 840 << 10, 64  # bytes of a small tessellation, and of a pixel of its sections
 _TRIAL_BOX = 12 << 20  # bytes of a box of it in space, at most
+_SCAN = 2  # bytes of a voxel of a scan while lengths along its axes are measured
 _WIDEST = 256  # pixels of a section
 _THIN, _THIN_BOX = 4.0, (24, 72)  # edges of cells in a box of walls of a voxel; its side, voxels
 
 
 @dataclass(frozen=True)
 class Learned:
-    """What a picture tells of the cells."""
+    """What pictures, or a scan, tell of the cells."""
 
     boundary: int
     """Label."""
@@ -74,7 +77,7 @@ class Learned:
 
 
 class Tessellation(PictureMethod):
-    """Closed cells from a picture of boundaries."""
+    """Closed cells from pictures of boundaries, or from a scan of them."""
 
     capabilities = CAPABILITIES
     config_type = TessellationConfig
@@ -99,7 +102,11 @@ class Tessellation(PictureMethod):
                 "volume is learnt from"
             )
         self._check_exemplar(images[0])
-        self._check_picture(images[0])
+        if min(images[0].shape) < _LEAST + ROOM:
+            raise InputError(
+                f"the exemplar is {images[0].shape}, cells need at least {_LEAST + ROOM} voxels "
+                "along every side: give a larger scan"
+            )
 
     def learn(self, exemplars: Sequence[Image]) -> PictureModel:
         if exemplars[0].ndim == 2:
@@ -124,10 +131,11 @@ class Tessellation(PictureMethod):
         cells = _PIXEL * max(prod(sorted(image.shape)[-2:]) for image in exemplars)
         width = min(_WIDEST, *(min(image.shape) for image in exemplars))
         trial = _TRIAL + _SECTION * width**2
-        box = CENTRE_BYTES * prod(min(CENTRE, side) for side in exemplars[0].shape)
-        if self.config.rounding is None:
-            box = max(box, _TRIAL_BOX)
-        most = max(cells, trial, box if exemplars[0].ndim == 3 else 0)
+        most = max(cells, trial)
+        if exemplars[0].ndim == 3:
+            box = CENTRE_BYTES * prod(min(CENTRE, side) for side in exemplars[0].shape)
+            tried = _TRIAL_BOX if self.config.rounding is None else 0
+            most = max(most, box, tried, _SCAN * prod(exemplars[0].shape))
         return {"interpreter and kernels": _PROCESS, "cells or trials": most}
 
 
@@ -175,13 +183,15 @@ class TessellationModel(PictureModel):
         """Return the labels of a request, and what to report of its cells."""
         found, shape = self.learned, self.learned.shape
         diagram, error = self._grow(request)
-        grid = self._grid(request)
-        owner = diagram.cells(grid)
         edge = shape.density ** (-1 / 3)
-        touching = diagram.neighbours(_points(diagram.sides, edge))
-        depth = diagram.face_distance(grid, owner, touching, shape.rounding * edge)
-        share = self._wall_share(request)
-        walls = draw_boundaries(owner, depth, share, inside=request.mask)
+        owner, walls = draw_walls(
+            diagram,
+            diagram.neighbours(_points(diagram.sides, edge)),
+            self._grid(request),
+            shape.rounding * edge,
+            self._wall_share(request),
+            inside=request.mask,
+        )
         values = self._phases(request, diagram)[owner]
         values[walls] = found.boundary
         if request.mask is not None:
@@ -241,9 +251,7 @@ class TessellationModel(PictureModel):
         """
         if self._figures is None or request.asks_for() - {"periodic"}:
             return {}
-        figures = self._figures.compare(self.exemplars[0], values)
-        tell_off(figures)
-        return {"figures": {name: one.to_json() for name, one in figures.items()}}
+        return tell_off(self._figures.compare(self.exemplars[0], values))
 
     @cached_property
     def _figures(self) -> OwnFigures | None:
@@ -307,7 +315,10 @@ class TessellationModel(PictureModel):
             "interpreter and kernels": _PROCESS,
             "exemplar": sum(image.values.nbytes for image in self.exemplars),
             "output": output,
-            "cells and distances": max(drawing, growth, self._figure_bytes(request)) - output,
+            "cells and distances": max(
+                drawing, growth, self._figure_bytes(request), _TRIAL_BOX if request.target else 0
+            )
+            - output,
         }
 
     def _figure_bytes(self, request: Request) -> int:
@@ -339,58 +350,66 @@ def _learned(
     """Find the cells of pictures, or of sections of a volume, and the settings whose sections are
     most like them.
     """
-    numbered = {view.picture: view.image for view in views}
-    pictures = [numbered[number] for number in sorted(numbered)]
-    solid = exemplars[0].ndim == 3
-    names = pictures[0].phases
-    if config.boundary is None:
-        boundary = wall_phase(exemplars[0]) if solid else None
-        if boundary is None:
-            boundary = boundary_phase(*pictures) if solid else boundary_phase(pictures[0])
-    elif config.boundary in names:
-        boundary = names.index(config.boundary)
-    else:
+    first, phases = exemplars[0], exemplars[0].phases
+    if config.boundary not in (None, *phases):
         raise InputError(
-            f"boundary={config.boundary!r} is no phase of the exemplar: it has {', '.join(names)}"
+            f"boundary={config.boundary!r} is no phase of the exemplar: it has {', '.join(phases)}"
         )
-    counted = exemplars if solid else pictures
-    every = [np.bincount(one.values.ravel(), minlength=len(names)) for one in counted]
-    counts = np.sum(every, axis=0)
-    interiors = [label for label in np.flatnonzero(counts) if label != boundary]
-    stretch = _stretch_of(exemplars[0], boundary) if solid else _stretch(views, boundary)
-    if solid:
-        pictures = [one for plane in PLANES for one in take_slices(exemplars[0], plane)]
+    named = None if config.boundary is None else phases.index(config.boundary)
+    if first.ndim == 3:
+        boundary = _walls_of(first, views) if named is None else named
+        counts = _count_labels([first])
+        stretch = _over_mean(_log_intercepts(first, boundary))
+        pictures = [one for plane in PLANES for one in take_slices(first, plane)]
+        solid = _solid_walls(first, boundary, stretch) if config.rounding is None else None
+    else:
+        numbered = {view.picture: view.image for view in views}
+        pictures = [numbered[number] for number in sorted(numbered)]
+        boundary = boundary_phase(pictures[0]) if named is None else named
+        counts = _count_labels(pictures)
+        stretch, solid = _stretch(views, boundary), None
     figures = SectionFigures.of_several(
         [Image((one.values == boundary).astype(np.uint8), "labels") for one in pictures],
         config.neck,
-        some=solid,
+        some=first.ndim == 3,
     )
+    if first.ndim == 3:
+        figures = replace(figures, walls=float(counts[boundary] / counts.sum()))
     shape = shape_of(
-        replace(figures, walls=float(counts[boundary] / counts.sum())) if solid else figures,
+        figures,
         min(min(one.shape) for one in pictures),
         config.neck,
-        _solid_walls(exemplars[0], boundary, stretch)
-        if solid and config.rounding is None
-        else None,
+        solid,
         spread=config.volume_spread,
         lloyd_steps=config.lloyd_steps,
         rounding=config.rounding,
     )
+    interiors = [int(label) for label in np.flatnonzero(counts) if label != boundary]
     inner = counts[interiors] / counts[interiors].sum()
-    return Learned(boundary, tuple(map(int, interiors)), tuple(map(float, inner)), stretch, shape)
+    return Learned(boundary, tuple(interiors), tuple(map(float, inner)), stretch, shape)
 
 
-def _stretch(views: Sequence[View], boundary: int) -> tuple[float, float, float]:
-    """Return the lengths of cells along z, y, x over their geometric mean: intercepts between
-    boundaries. 1 where one picture stands for all three planes.
+def _walls_of(volume: Image, views: Sequence[View]) -> int:
+    """Return the label of the even walls of a volume; where there are none, what its middle slices
+    say as pictures.
     """
-    if len(views) == 3 and len({view.picture for view in views}) == 1:
-        return 1.0, 1.0, 1.0
-    lines: dict[int, list[float]] = {axis: [] for axis in range(3)}
-    for view in views:
-        for axis, along in zip(view.across, range(2), strict=True):
-            lines[axis].append(_log_intercept(view.image, boundary, along))
-    return _over_mean([float(np.mean(lines[axis])) for axis in range(3)])
+    walls = wall_phase(volume)
+    return boundary_phase(*(view.image for view in views)) if walls is None else walls
+
+
+def _count_labels(images: Sequence[Image]) -> np.ndarray:
+    """Return how many voxels or pixels of all images have every label, int64."""
+
+    def count(image: Image) -> np.ndarray:
+        values = image.values if image.ndim == 3 else image.values[None]
+        return tally_by_slabs(
+            lambda start, stop: np.bincount(
+                values[start:stop].ravel(), minlength=len(image.phases)
+            ),
+            values.shape,
+        )
+
+    return np.asarray(np.sum([count(image) for image in images], axis=0))
 
 
 def _solid_walls(
@@ -403,16 +422,27 @@ def _solid_walls(
     return SolidWalls(thickening(walls), stretch) if 0 < walls.mean() < 1 else None
 
 
-def _stretch_of(volume: Image, boundary: int) -> tuple[float, float, float]:
-    """Return the same of a volume."""
-    return _over_mean([_log_intercept(volume, boundary, axis) for axis in range(3)])
+def _stretch(views: Sequence[View], boundary: int) -> tuple[float, float, float]:
+    """Return the lengths of cells along z, y, x over their geometric mean: intercepts between
+    boundaries. 1 where one picture stands for all three planes.
+    """
+    if len(views) == 3 and len({view.picture for view in views}) == 1:
+        return 1.0, 1.0, 1.0
+    lines: dict[int, list[float]] = {axis: [] for axis in range(3)}
+    for view in views:
+        for axis, length in zip(view.across, _log_intercepts(view.image, boundary), strict=True):
+            lines[axis].append(length)
+    return _over_mean([float(np.mean(lines[axis])) for axis in range(3)])
 
 
-def _log_intercept(image: Image, boundary: int, axis: int) -> float:
+def _log_intercepts(image: Image, boundary: int) -> list[float]:
+    """Return the logarithm of the mean length between changes of a line, along every axis."""
     inside = image.values != boundary
-    return float(np.log(inside.size / max(1, np.count_nonzero(np.diff(inside, axis=axis)))))
+    counts = [np.count_nonzero(np.diff(inside, axis=axis)) for axis in range(image.ndim)]
+    return [float(np.log(inside.size / max(1, count))) for count in counts]
 
 
 def _over_mean(lengths: Sequence[float]) -> tuple[float, float, float]:
+    """Return lengths, given by their logarithms, over their geometric mean."""
     z, y, x = np.exp(np.array(lengths) - np.mean(lengths))
     return float(z), float(y), float(x)

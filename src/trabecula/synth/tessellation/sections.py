@@ -25,6 +25,9 @@ SPREADS = (0.0, 0.25, 0.5, 0.75, 1.0)
 STEPS = (0, 1, 3, 8)
 ROUNDINGS, FINER = (0.0, 0.1, 0.2, 0.3, 0.4), 0.05
 
+Touching = tuple[np.ndarray, np.ndarray]
+"""Cells that touch every cell, as `Diagram.neighbours` returns them."""
+
 _SHARES = np.linspace(0.1, 0.9, 9)
 _CELLS = 216
 _PLANES = 4  # along every axis
@@ -195,7 +198,8 @@ class _Trial:
     ) -> None:
         self.picture, self.width, self.neck, self.density = picture, width, neck, density
         self.solid = solid
-        self._grown: dict[tuple[float, int], Diagram] = {}
+        self.edge, self.side = density ** (-1 / 3), (_CELLS / density) ** (1 / 3)
+        self._grown: dict[tuple[float, int], tuple[Diagram, Touching]] = {}
         self._seen: dict[tuple[float, int, float], SectionFigures] = {}
 
     def off(self, shape: Shape) -> float:
@@ -216,20 +220,15 @@ class _Trial:
         """Return the thickening of the walls of sections with pixels as fine as the picture's:
         coarser ones take walls of few pixels for even ones.
         """
-        width = min(self.width, _WIDTH * self.density ** (-1 / 3), _FINE)
+        width = min(self.width, _WIDTH * self.edge, _FINE)
         return float(np.mean([thickening(plane) for plane in self._sections(shape, width, 1.0)]))
 
     def _thick_in_space(self, shape: Shape, stretch: Sequence[float]) -> float:
         """Return the thickening of the walls of a box with voxels as fine as the scan's."""
-        diagram = self._diagram(shape.spread, shape.lloyd_steps)
-        edge = self.density ** (-1 / 3)
-        sides = [int(np.clip(_BOX * edge * long, *_BOX_SIDES)) for long in stretch]
+        sides = [int(np.clip(_BOX * self.edge * long, *_BOX_SIDES)) for long in stretch]
         axes = zip(sides, stretch, strict=True)
         grid = PointGrid(*((np.arange(side) + 0.5) / long for side, long in axes))
-        owner = diagram.cells(grid)
-        touching = diagram.neighbours([round(float(diagram.sides[0]) / edge * _POINTS)] * 3)
-        depth = diagram.face_distance(grid, owner, touching, shape.rounding * edge)
-        return thickening(draw_boundaries(owner, depth, self.picture.walls))
+        return thickening(self._walls(shape, grid))
 
     def figures(self, shape: Shape) -> SectionFigures:
         """Return the figures of sections of a trial."""
@@ -239,10 +238,9 @@ class _Trial:
         return self._seen[key]
 
     def _measure(self, shape: Shape) -> SectionFigures:
-        edge = self.density ** (-1 / 3)
-        pixel = max(1.0, edge / _PIXELS)
+        pixel = max(1.0, self.edge / _PIXELS)
         found = []
-        for plane in self._sections(shape, min(self.width, _WIDTH * edge), pixel):
+        for plane in self._sections(shape, min(self.width, _WIDTH * self.edge), pixel):
             image = Image(
                 plane.astype(np.uint8),
                 "labels",
@@ -263,31 +261,47 @@ class _Trial:
 
     def _sections(self, shape: Shape, width: float, pixel: float) -> Iterator[np.ndarray]:
         """Yield the walls of sections across every axis, bool."""
-        diagram = self._diagram(shape.spread, shape.lloyd_steps)
-        side, edge = float(diagram.sides[0]), self.density ** (-1 / 3)
         line = (np.arange(max(1, round(width / pixel))) + 0.5) * pixel
-        cuts = (np.arange(_PLANES) + 0.5) * (side / _PLANES)
-        touching = diagram.neighbours([round(side / edge * _POINTS)] * 3)
+        cuts = (np.arange(_PLANES) + 0.5) * (self.side / _PLANES)
         for axis in range(3):
             grid = PointGrid(*(cuts if axis == each else line for each in range(3)))
-            owner = diagram.cells(grid)
-            depth = diagram.face_distance(grid, owner, touching, shape.rounding * edge)
-            walls = draw_boundaries(owner, depth, self.picture.walls, across=axis)
+            walls = self._walls(shape, grid, across=axis)
             yield from (np.ascontiguousarray(plane) for plane in np.moveaxis(walls, axis, 0))
 
-    def _diagram(self, spread: float, lloyd_steps: int) -> Diagram:
-        key = (spread, lloyd_steps)
+    def _walls(self, shape: Shape, grid: PointGrid, *, across: int | None = None) -> np.ndarray:
+        """Return the walls of a tessellation at the points of a grid."""
+        key = (shape.spread, shape.lloyd_steps)
         if key not in self._grown:
-            side = (_CELLS / self.density) ** (1 / 3)
-            self._grown[key] = grow_grains(
+            diagram, _ = grow_grains(
                 _SEED,
-                (side,) * 3,
+                (self.side,) * 3,
                 self.density,
-                spread=spread,
-                lloyd_steps=lloyd_steps,
+                spread=shape.spread,
+                lloyd_steps=shape.lloyd_steps,
                 points=_POINTS,
-            )[0]
-        return self._grown[key]
+            )
+            points = [round(self.side / self.edge * _POINTS)] * 3
+            self._grown[key] = diagram, diagram.neighbours(points)
+        radius = shape.rounding * self.edge
+        return draw_walls(*self._grown[key], grid, radius, self.picture.walls, across=across)[1]
+
+
+def draw_walls(
+    diagram: Diagram,
+    touching: Touching,
+    grid: PointGrid,
+    radius: float,
+    share: float | np.ndarray,
+    *,
+    across: int | None = None,
+    inside: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cell of every point of a grid, (Z, Y, X) int32, and which are boundary, bool:
+    corners are rounded by a radius, the rest is as in `draw_boundaries`.
+    """
+    owner = diagram.cells(grid)
+    depth = diagram.face_distance(grid, owner, touching, radius)
+    return owner, draw_boundaries(owner, depth, share, across=across, inside=inside)
 
 
 def draw_boundaries(

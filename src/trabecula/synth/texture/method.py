@@ -407,8 +407,7 @@ class TextureModel(Model):
         values, report = self._make(request)
         figures = self._compare(values, request)
         if figures:
-            report["figures"] = {name: one.to_json() for name, one in figures.items()}
-            tell_off(figures, self._advice(figures))
+            report |= tell_off(figures, self._advice(figures))
         return values, report
 
     def _advice(self, figures: Mapping[str, Figure]) -> str:
