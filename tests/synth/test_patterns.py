@@ -9,7 +9,9 @@ from scipy import ndimage
 import trabecula as tb
 from trabecula.engine.parallel import threads
 from trabecula.measure.labelling import label_components
-from trabecula.synth.shared.patterns.counts import Bins, Patterns
+from trabecula.synth.shared.patterns.balls import FRACTIONS, RADII, STEP
+from trabecula.synth.shared.patterns.balls import UNIT as PARTS
+from trabecula.synth.shared.patterns.counts import BLOCK, Bins, Patterns
 from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.excess import CELL, excess_of
 from trabecula.synth.shared.patterns.flips import FlipRegion, flip_voxels
@@ -74,6 +76,31 @@ def plain_neighbours(phases, count, wraps, valid):
     return np.bincount(code[whole], minlength=count * NEIGHBOURS), np.count_nonzero(whole)
 
 
+def plain_balls(phases, phase, radius, wraps, valid):
+    """Balls around every fourth voxel of each block by their fraction of a phase, in parts."""
+    offsets = np.indices((2 * radius + 1,) * 3).reshape(3, -1).T - radius
+    offsets = offsets[np.square(offsets).sum(axis=1) <= radius**2]
+    places = [[at for at in range(side) if at % BLOCK % STEP == 0] for side in phases.shape]
+    knots = np.rint(FRACTIONS * len(offsets)).astype(int)
+    found, rooms = np.zeros(len(knots), int), 0
+    for centre in product(*places):
+        at = offsets + centre
+        if wraps:
+            at %= phases.shape
+        elif np.any(at < 0) or np.any(at >= phases.shape):
+            continue
+        at = tuple(at.T)
+        if not valid[at].all():
+            continue
+        full = np.count_nonzero(phases[at] == phase)
+        upper = max(1, int(np.searchsorted(knots, full)))
+        part = (full - knots[upper - 1]) / (knots[upper] - knots[upper - 1])
+        found[upper] += (part := round(PARTS * part))
+        found[upper - 1] += PARTS - part
+        rooms += PARTS
+    return found, rooms
+
+
 @pytest.mark.parametrize("wraps", [False, True])
 @pytest.mark.parametrize(("count", "masked"), [(2, False), (2, True), (3, False)])
 def test_counts_are_those_of_plain_loops(count, masked, wraps):
@@ -82,7 +109,9 @@ def test_counts_are_those_of_plain_loops(count, masked, wraps):
     phases[6:14, 5:40, 4:20] = count - 1
     phases[:, 20:, 10] = 1
     valid = draw.random(phases.shape) < 0.97 if masked else np.ones(phases.shape, bool)
-    found = Patterns.of(phases, count, wraps=[wraps] * 3, valid=valid if masked else None)
+    valid[:, 12:] |= masked  # room for balls
+    given = {"wraps": [wraps] * 3, "valid": valid if masked else None}
+    found = Patterns.of(phases, count, balls=True, **given)
     bins = found.bins
     rooms = found.rooms[bins.rooms]
     for axis, phase in product(range(3), range(count)):
@@ -96,8 +125,18 @@ def test_counts_are_those_of_plain_loops(count, masked, wraps):
         np.testing.assert_array_equal(found.counts[first : first + bins.combinations], own)
         assert rooms[first] == places
     own, places = plain_neighbours(phases, count, wraps, valid)
-    np.testing.assert_array_equal(found.counts[bins.neighbours :], own)
+    np.testing.assert_array_equal(found.counts[bins.neighbours : bins.balls], own)
     assert rooms[bins.neighbours] == places
+    first, kinds = bins.balls, range(1, 2) if count == 2 else range(count)
+    for radius, phase in product(RADII, kinds):
+        own, places = plain_balls(phases, phase, radius, wraps, valid)
+        assert own.any()
+        np.testing.assert_array_equal(found.counts[first : first + len(own)], own)
+        np.testing.assert_array_equal(rooms[first : first + len(own)], places)
+        first += len(own)
+    assert first == bins.total
+    without = Patterns.of(phases, count, **given)
+    np.testing.assert_array_equal(without.counts, found.counts[: bins.balls])
 
 
 @pytest.mark.parametrize("phase", [0, 1, 2])
@@ -134,8 +173,8 @@ def grainy(phases, seed, share=0.1):
     return made
 
 
-def learn(exemplar, count=2):
-    return PatternDensities.of([exemplar], count)
+def learn(exemplar, count=2, balls=True):
+    return PatternDensities.of([exemplar], count, balls=balls)
 
 
 @pytest.fixture(scope="module", params=[2, 3])
@@ -147,9 +186,10 @@ def smooth_and_target(request):
 
 
 def misfit(phases, patterns, **given):
-    found = Patterns.of(phases, patterns.bins.phases, **given)
-    wanted = patterns.own * found.rooms[patterns.bins.rooms]
-    return np.abs(found.counts - wanted).sum()
+    bins = patterns.bins
+    found = Patterns.of(phases, bins.phases, balls=bins.with_balls, **given)
+    wanted = patterns.own * found.rooms[bins.rooms]
+    return np.abs(found.counts - wanted) @ bins.units
 
 
 def test_flips_bring_patterns_nearer_and_keep_fractions(smooth_and_target):
@@ -180,8 +220,26 @@ def test_the_change_of_one_block_is_the_change_of_the_counts(monkeypatch):
     for before, (made, change) in zip((phases, told[0][0]), told, strict=True):
         assert np.any(made != before)
         np.testing.assert_allclose(
-            Patterns.of(made, 2).counts - Patterns.of(before, 2).counts, change, atol=1e-6
+            Patterns.of(made, 2, balls=True).counts - Patterns.of(before, 2, balls=True).counts,
+            change,
+            atol=1e-6,
         )
+
+
+def test_bodies_are_as_wide_as_the_exemplars_by_balls():
+    """Of material whose bodies are a third too wide."""
+    phases, votes = blobs(0, (60, 60, 60), sigma=4.0)
+    exemplar, _ = blobs(1, (80, 80, 80), sigma=3.0)
+    off = []
+    for balls in (False, True):
+        patterns = learn(exemplar, balls=balls)
+        given = {"seed": 1, "rounds": 2, "unit": 30 * UNIT}
+        made, _ = flip_voxels(phases, votes, patterns, FlipRegion(), **given)
+        wanted = Patterns.of(exemplar, 2, balls=True)
+        own = slice(wanted.bins.balls, None)
+        densities = Patterns.of(made, 2, balls=True).densities
+        off.append(np.abs(densities - wanted.densities)[own].sum())
+    assert off[1] < 0.8 * off[0]
 
 
 def test_voxels_do_not_depend_on_threads(smooth_and_target):
@@ -224,14 +282,14 @@ def test_beside_fixed_voxels_only_what_is_free_is_mended():
         phases, votes, patterns, FlipRegion(free=free), seed=1, rounds=2, unit=UNIT
     )
     far = (slice(None), slice(None), slice(28, None))
-    assert misfit(made[far], patterns) < 0.65 * misfit(phases[far], patterns)
+    assert misfit(made[far], patterns) < 0.7 * misfit(phases[far], patterns)
 
 
 def test_small_bodies_stay():
-    phases, votes = blobs(0, (60, 60, 60), sigma=4.0)
+    phases, votes = blobs(0, (40, 40, 40), sigma=4.0)  # one block: in two, they may meet
     patterns = learn(grainy(blobs(1, (60, 60, 60))[0], 2, 0.3))
     for phase in (0, 1):
-        for at in np.argwhere(phases == phase)[::4000]:
+        for at in np.argwhere(phases == phase)[::1000]:
             phases[tuple(at)] = 1 - phase  # single voxels: some alone, some at an interface
     made, report = flip_voxels(phases, votes, patterns, FlipRegion(), seed=1, rounds=2, unit=UNIT)
     assert report["changed"] > 1000
@@ -241,7 +299,7 @@ def test_small_bodies_stay():
             np.isin(labels, 1 + np.flatnonzero(sizes < SMALL)) for labels, sizes in (before, after)
         ]
         assert small[0].any()
-        assert np.count_nonzero(small[0] != small[1]) < 5  # two blocks may meet in one
+        np.testing.assert_array_equal(*small)
 
 
 def test_what_votes_are_sure_of_changes_least():
@@ -265,7 +323,7 @@ def test_densities_rise_with_the_fraction_as_in_windows():
     level = np.where(np.arange(120) < 60, -0.6, 0.6) * UNIT
     exemplar = (votes[0] > level).astype(np.uint8)
     learnt = PatternDensities.by_fraction([exemplar], 2, 20)
-    np.testing.assert_allclose(learnt.own, learn(exemplar).own)
+    np.testing.assert_allclose(learnt.own, learn(exemplar, balls=False).own)
     for half in (slice(0, 60), slice(60, 120)):
         part = np.ascontiguousarray(exemplar[:, :, half])
         own = Patterns.of(part, 2).densities
@@ -309,6 +367,8 @@ class TestTexture:
 
         assert TextureConfig().interface_rounds > 0
         assert TextureConfig.recorded({})["interface_rounds"] == 0
+        assert TextureConfig().interface_balls
+        assert TextureConfig.recorded({})["interface_balls"] is False
 
     def test_a_form_keeps_its_outside(self, exemplar):
         at = np.indices((72, 72, 72)) - 36

@@ -112,6 +112,11 @@ class TextureConfig:
     exemplar. Of two phases, and of three without a target from exemplars of 62^3 on. Recipes
     and models that do not name it: 0."""
 
+    interface_balls: bool = True
+    """Whether `interface_rounds` also bring to the exemplar's how full of a phase balls of 4 and 8
+    voxels' radius are: bodies and pores of several voxels are as wide as there. Recipes and models
+    that do not name it: False."""
+
     beyond_known: float = 0.7
     """Beside known voxels: how far a known voxel of labels is taken to be from an interface beyond
     the joint, at least, over the farthest that it may be, 0 .. 1. With 0 nothing is taken, and
@@ -223,7 +228,7 @@ class TextureConfig:
         """Complete the settings of a recipe or a model that is older than some of them."""
         before = {"layout": "coarse", "iso_value": "middle", "step_share": 0.5}
         later = {"grading": "shift", "connected": "none", "scan_phases": "two", "vote_power": 1.0}
-        later |= {"beyond_known": 0.0, "interface_rounds": 0}
+        later |= {"beyond_known": 0.0, "interface_rounds": 0, "interface_balls": False}
         known = {name: value for name, value in settings.items() if name not in _DROPPED}
         return {**before, **later, **known}
 
@@ -255,6 +260,7 @@ _ALTERNATIVES: tuple[dict[str, Any], ...] = (
 
 _CHOICES: dict[str, tuple[Any, ...]] = {
     "histogram": (True, False),
+    "interface_balls": (True, False),
     "adaptive": (True, False),
     "field": ("distance", "indicator"),
     "iso_value": ("middle", "fraction"),

@@ -517,7 +517,7 @@ class TextureModel(Model):
     @cached_property
     def _patterns(self) -> PatternDensities:
         """Measure the patterns of the exemplars."""
-        return PatternDensities.of(*self._phases())
+        return PatternDensities.of(*self._phases(), balls=self.config.interface_balls)
 
     @cached_property
     def _patterns_by_fraction(self) -> PatternDensities:
@@ -525,7 +525,8 @@ class TextureModel(Model):
         phases, count = self._phases()
         shortest = min(min(one.shape) for one in phases)
         width = max(self._window(0), shortest // _PARTS)
-        return PatternDensities.by_fraction(phases, count, width)
+        balls = self.config.interface_balls
+        return PatternDensities.by_fraction(phases, count, width, balls=balls)
 
     def _phases(self) -> tuple[list[np.ndarray], int]:
         """Return the exemplars' phases, counted from 0, and their number."""

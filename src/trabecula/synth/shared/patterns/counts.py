@@ -7,6 +7,7 @@
   Muecklich 2000), pairs of voxels in 13 directions over all of them.
 - **Neighbours**: how many of the 6, 12 and 8 voxels that share a face, an edge or a corner with a
   voxel have its phase. It tells a smooth interface from a rough one.
+- **Balls** (where asked for): how full of a phase balls of two radii are (`balls`).
 
 A pattern that a face of the volume cuts is not counted, and the places where it could lie are
 counted beside it, so densities do not depend on the size.
@@ -26,6 +27,7 @@ from trabecula.engine import memmap
 from trabecula.engine.chunking import Box, boxes_of
 from trabecula.engine.parallel import for_items
 from trabecula.measure.configurations import cube_euler
+from trabecula.synth.shared.patterns.balls import FRACTIONS, RADII, UNIT, count_balls
 from trabecula.synth.shared.patterns.kernels import (
     CHORDS,
     MARGIN,
@@ -45,16 +47,19 @@ LEAST_VOXELS = 36
 """Of an exemplar, for every combination of phases on a cube: of three phases 62^3. Where it has
 fewer, flips fit its chance, and leave interfaces rough."""
 
-ROOMS = 3 * CHORDS + len(STRIDES) + 1
+ROOMS = 3 * CHORDS + len(STRIDES) + 1 + len(RADII)
 
 _CONNECTIVITIES = (6, 26)
 
 
 @dataclass(frozen=True)
 class Bins:
-    """Where the counts of every kind of pattern are, of so many phases."""
+    """Where the counts of every kind of pattern are, of so many phases; with those of balls or
+    without.
+    """
 
     phases: int
+    with_balls: bool = False
 
     @property
     def cubes(self) -> int:
@@ -72,9 +77,20 @@ class Bins:
         return self.cubes + len(STRIDES) * self.combinations
 
     @property
+    def balls(self) -> int:
+        """Return the first bin of the balls."""
+        return self.neighbours + self.phases * NEIGHBOURS
+
+    @property
     def total(self) -> int:
         """Return the number of bins."""
-        return self.neighbours + self.phases * NEIGHBOURS
+        channels = 1 if self.phases == 2 else self.phases
+        return self.balls + self.with_balls * len(RADII) * channels * len(FRACTIONS)
+
+    @cached_property
+    def units(self) -> np.ndarray:
+        """Return what one of each bin counts, (bins,): balls are counted in parts."""
+        return np.where(np.arange(self.total) < self.balls, 1.0, 1 / UNIT)
 
     @cached_property
     def rooms(self) -> np.ndarray:
@@ -83,7 +99,9 @@ class Bins:
         chords = [axis * CHORDS + np.tile(lengths, self.phases) for axis in range(3)]
         cubes = [np.full(self.combinations, 3 * CHORDS + n) for n in range(len(STRIDES))]
         last = np.full(self.phases * NEIGHBOURS, 3 * CHORDS + len(STRIDES))
-        return np.concatenate([*chords, *cubes, last])
+        each = (self.total - self.balls) // len(RADII)
+        balls = [np.full(each, 3 * CHORDS + len(STRIDES) + 1 + n) for n in range(len(RADII))]
+        return np.concatenate([*chords, *cubes, last, *balls])
 
     @cached_property
     def euler(self) -> np.ndarray:
@@ -116,19 +134,20 @@ class Patterns:
         *,
         wraps: Sequence[bool] = (False, False, False),
         valid: np.ndarray | None = None,
+        balls: bool = False,
     ) -> Patterns:
         """Count the patterns of phases (Z, Y, X) uint8 below `count`, of those voxels that are
         `valid`.
         """
         blocks = boxes_of(phases.shape, BLOCK)
-        one = np.zeros(len(blocks), np.int64)
-        return cls.by_kind(phases, count, blocks, one, wraps=wraps, valid=valid)[0]
+        one, bins = np.zeros(len(blocks), np.int64), Bins(count, balls)
+        return cls.by_kind(phases, bins, blocks, one, wraps=wraps, valid=valid)[0]
 
     @classmethod
     def by_kind(
         cls,
         phases: np.ndarray,
-        count: int,
+        bins: Bins,
         blocks: Sequence[Box],
         kinds: np.ndarray,
         *,
@@ -136,14 +155,18 @@ class Patterns:
         valid: np.ndarray | None = None,
     ) -> list[Patterns]:
         """Count those of blocks of each kind, which `kinds` number from 0."""
-        bins, lock, around = Bins(count), Lock(), np.array(wraps)
+        lock, around = Lock(), np.array(wraps)
         counts = np.zeros((int(kinds.max()) + 1, bins.total), np.int64)
         rooms = np.zeros((len(counts), ROOMS), np.int64)
         where = np.empty((0, 0, 0), bool) if valid is None else valid
 
         def work(n: int) -> None:
             own, places = np.zeros(bins.total, np.int64), np.zeros(ROOMS, np.int64)
-            count_patterns(cut_out(phases, where, blocks[n], around), count, own, places)
+            local = cut_out(phases, where, blocks[n], around)
+            count_patterns(local, bins.phases, own, places)
+            if bins.with_balls:
+                first = len(places) - len(RADII)
+                count_balls(local, MARGIN, bins.phases, own[bins.balls :], places[first:])
             with lock:
                 counts[kinds[n]] += own
                 rooms[kinds[n]] += places

@@ -35,26 +35,28 @@ class PatternDensities:
     above: float = 0.0
 
     @classmethod
-    def of(cls, exemplars: Sequence[np.ndarray], count: int) -> PatternDensities:
+    def of(
+        cls, exemplars: Sequence[np.ndarray], count: int, *, balls: bool = False
+    ) -> PatternDensities:
         """Measure exemplars, phases (Z, Y, X) uint8 below `count`, without slopes."""
-        whole = reduce(add, (Patterns.of(phases, count) for phases in exemplars))
+        whole = reduce(add, (Patterns.of(phases, count, balls=balls) for phases in exemplars))
         return cls(whole.bins, whole.densities)
 
     @classmethod
     def by_fraction(
-        cls, exemplars: Sequence[np.ndarray], count: int, width: int
+        cls, exemplars: Sequence[np.ndarray], count: int, width: int, *, balls: bool = False
     ) -> PatternDensities:
         """Measure windows of exemplars, and with them the slopes."""
-        windows, fractions = [], []
+        windows, fractions, bins = [], [], Bins(count, balls)
         for phases in exemplars:
             boxes = boxes_of(phases.shape, width)
-            windows += Patterns.by_kind(phases, count, boxes, np.arange(len(boxes)))
+            windows += Patterns.by_kind(phases, bins, boxes, np.arange(len(boxes)))
             fractions += [float(np.mean(phases[slices_of(box)] == 1)) for box in boxes]
         whole = reduce(add, windows)
-        sizes = np.array([window.rooms[-1] for window in windows], float)
+        sizes = np.array([window.rooms[bins.rooms[bins.neighbours]] for window in windows], float)
         mean = float(np.average(fractions, weights=sizes))
         far = np.array(fractions) - mean
-        own, bins = whole.densities, whole.bins
+        own = whole.densities
         slopes = np.zeros(bins.total)
         for window, apart in zip(windows, far, strict=True):
             slopes += apart * (window.counts - own * window.rooms[bins.rooms])

@@ -43,6 +43,7 @@ _EVERYWHERE = np.empty((0, 0, 0), bool)
 _VOTES = 1 << 15
 LOCAL = 15
 """Bytes of a voxel of a local array."""
+_SUMS = 2  # more, for balls
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,7 @@ def _bands(
     of_blocks[at[np.argsort(wanted[at], kind="stable")]] = np.arange(len(at)) * count // len(at)
     bins = patterns.bins
     found: list[Misfit | None] = []
-    given = (bins.phases, blocks, of_blocks)
+    given = (bins, blocks, of_blocks)
     made = Patterns.by_kind(phases, *given, wraps=place.wraps, valid=place.valid)
     fixed = place.fixed
     held = made
@@ -175,8 +176,8 @@ def _bands(
 def _share_off(bands: Sequence[Misfit | None]) -> float:
     """Return all that is off over all that there is to be."""
     some = [band for band in bands if band is not None]
-    off = sum(float(np.abs(band.off).sum()) for band in some)
-    return round(off / max(sum(float(band.target.sum()) for band in some), 1), 4)
+    off = sum(float(np.abs(band.off) @ band.bins.units) for band in some)
+    return round(off / max(sum(float(band.target @ band.bins.units) for band in some), 1), 4)
 
 
 def _round(
@@ -269,6 +270,6 @@ def pattern_stages(shape: Sequence[int], channels: int, *, free: bool) -> tuple[
         "changed phases": Array(shape, np.uint8),
         "free": Array(shape, bool) if free else None,
         "known": Array(shape, bool) if free else None,
-        "blocks": Array(LOCAL * local * thread_count(), np.uint8, at_most=True),
+        "blocks": Array((LOCAL + _SUMS) * local * thread_count(), np.uint8, at_most=True),
     }
     return (Stage("patterns", arrays),)

@@ -11,6 +11,14 @@ import numpy as np
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.random import below, philox
 from trabecula.measure.neighbours import place_along
+from trabecula.synth.shared.patterns.balls import (
+    FRACTIONS,
+    OUTSIDE,
+    RADII,
+    fill_balls,
+    list_ball_changes,
+    refill_balls,
+)
 
 REACH = 16
 """Voxels of the longest chord that is counted by its length."""
@@ -22,8 +30,6 @@ STRIDES = (1, 2, 3, 5)
 
 MARGIN = REACH + 3
 
-OUTSIDE = 255
-
 _FACES, _EDGES, _CORNERS = 7, 13, 9  # of their counts: 0 .. 6, 0 .. 12, 0 .. 8
 NEIGHBOURS = _FACES * _EDGES * _CORNERS
 
@@ -31,7 +37,8 @@ _SMALL = 100
 """Voxels of a body below which none is cut off, joined or changed."""
 
 _strides = np.array(STRIDES)
-_MOST_BINS = 3 * 7 + len(STRIDES) * 16 + 54  # that one voxel changes
+_FRACTIONS = len(FRACTIONS)
+_MOST_BINS = 3 * 7 + len(STRIDES) * 16 + 54 + 2 * len(RADII) * _FRACTIONS  # that a voxel changes
 
 
 @kernel
@@ -193,6 +200,12 @@ def flip_block(
     _shuffle(spots, key, number)
     powers = phases ** np.arange(8)
     codes = _all_neighbours(local)
+    balls = 3 * phases * CHORDS + len(STRIDES) * powers[7] * phases + phases * NEIGHBOURS
+    if len(slopes) > balls:
+        fills = fill_balls(local, MARGIN, phases)
+    else:
+        fills = np.empty((0, 0, 0, 0, 0), np.int32)
+    around = (codes, fills, np.zeros(_FRACTIONS, np.int64))
     marks, mark = np.zeros(local.size, np.int32), np.int32(0)
     stack = np.empty(_SMALL, np.int64)
     bins, by = np.empty(_MOST_BINS, np.int64), np.empty(_MOST_BINS, np.int64)
@@ -213,14 +226,14 @@ def flip_block(
         new = _other(local, z, y, x, philox(key, number, spot, 0, 1)[0])
         if new == OUTSIDE:
             continue
-        count = _changes(local, codes, z, y, x, new, phases, powers, grid, bins, by)
+        count = _changes(local, around, z, y, x, new, phases, powers, grid, bins, by)
         more = _gained(gained, side, z, y, x)
         energy = 2.0 * price * (more[new] - more[own] + 1)
         energy += effort * _depth(votes[:, at_z, at_y, at_x], own, new, level)
         loops[:] = 0
         for k in range(count):
             one = bins[k]
-            energy += by[k] * slopes[one, 0] + slopes[one, 1]
+            energy += by[k] * slopes[one, 0] + by[k] * by[k] * slopes[one, 1]
             if cubes <= one < cubes + combinations:
                 for e in range(len(euler)):
                     loops[e] += by[k] * euler[e, one - cubes]
@@ -235,7 +248,7 @@ def flip_block(
             kept = not small
         if not kept:
             continue
-        _apply(local, codes, z, y, x, new)
+        _apply(local, around, z, y, x, new)
         done[now], was[now] = spot, own
         now += 1
         more[new] += 1
@@ -245,7 +258,7 @@ def flip_block(
             slopes[bins[k], 0] += 2 * slopes[bins[k], 1] * by[k]
         for e in range(len(euler)):
             euler_misfit[e] += loops[e]
-    given = (local, codes, phases, powers, grid, bins, by, change, done[:now], was[:now])
+    given = (local, around, phases, powers, grid, bins, by, change, done[:now], was[:now])
     left = now - _undo(given, gained, side)
     whole = np.zeros((1, 1, 1, phases), np.int64)
     for z in range(gained.shape[0]):
@@ -258,7 +271,7 @@ def flip_block(
 @inline
 def _undo(given, gained, side):
     """Take back the last changes that left a cell with too many of a phase. Return how many."""
-    local, codes, phases, powers, grid, bins, by, change, done, was = given
+    local, around, phases, powers, grid, bins, by, change, done, was = given
     height, width, undone = local.shape[1], local.shape[2], 0
     for n in range(len(done) - 1, -1, -1):
         spot = done[n]
@@ -266,10 +279,10 @@ def _undo(given, gained, side):
         own, old, more = local[z, y, x], was[n], _gained(gained, side, z, y, x)
         if own == old or more[own] <= 0:
             continue
-        count = _changes(local, codes, z, y, x, old, phases, powers, grid, bins, by)
+        count = _changes(local, around, z, y, x, old, phases, powers, grid, bins, by)
         for k in range(count):
             change[bins[k]] += by[k]
-        _apply(local, codes, z, y, x, old)
+        _apply(local, around, z, y, x, old)
         more[own] -= 1
         more[old] += 1
         undone += 1
@@ -372,8 +385,9 @@ def _all_neighbours(local):
 
 
 @inline
-def _apply(local, codes, z, y, x, new):
-    """Give a voxel to a phase."""
+def _apply(local, around, z, y, x, new):
+    """Give a voxel to a phase; neighbours and balls `around` follow."""
+    codes, fills, _ = around
     own = local[z, y, x]
     local[z, y, x] = new
     for dz in range(-1, 2):
@@ -388,11 +402,14 @@ def _apply(local, codes, z, y, x, new):
                     codes[z + dz, y + dy, x + dx] += _weight(dz, dy, dx)
     if codes[z, y, x] >= 0:
         codes[z, y, x] = _neighbours(local, z, y, x)
+    if fills.size:
+        refill_balls(fills, z - MARGIN, y - MARGIN, x - MARGIN, own, new)
 
 
 @inline
-def _changes(local, codes, z, y, x, new, phases, powers, grid, bins, by):
+def _changes(local, around, z, y, x, new, phases, powers, grid, bins, by):
     """List the bins that change where a voxel becomes a phase, and by how much; return how many."""
+    codes, fills, tally = around
     count, own = 0, local[z, y, x]
     for axis in range(3):
         count = _chord_changes(local, axis, z, y, x, new, phases, bins, by, count)
@@ -439,6 +456,10 @@ def _changes(local, codes, z, y, x, new, phases, powers, grid, bins, by):
         bins[count], by[count] = first + own * NEIGHBOURS + codes[z, y, x], -1
         bins[count + 1], by[count + 1] = first + new * NEIGHBOURS + alike, 1
         count += 2
+    if fills.size:
+        first += phases * NEIGHBOURS
+        place = (z - MARGIN, y - MARGIN, x - MARGIN)
+        count = list_ball_changes(fills, *place, own, new, first, tally, bins, by, count)
     return count
 
 

@@ -15,6 +15,7 @@ EFFORT = 0.5
 """What a change costs of a voxel that the votes put a voxel away from the interface."""
 
 _NEIGHBOURS = 0.3  # weight of their misfit beside that of chords and cubes
+_BALLS = 100.0
 _EULER = 20.0  # of that of Euler numbers
 
 
@@ -34,8 +35,9 @@ class Misfit:
         numbers in cubes, their misfit and their weights.
         """
         bins = self.bins
-        weights = 1 / (self.target * share + 1)
-        weights[bins.neighbours :] *= _NEIGHBOURS
+        weights = bins.units**2 / (self.target * bins.units * share + 1)
+        weights[bins.neighbours : bins.balls] *= _NEIGHBOURS
+        weights[bins.balls :] *= _BALLS
         slopes = np.stack([2 * share * self.off * weights, weights], axis=1)
         cubes = slice(bins.cubes, bins.cubes + bins.combinations)
         wanted = np.abs(bins.euler @ self.target[cubes])

@@ -1,0 +1,232 @@
+"""Compiled: how full of a phase balls are, and what one voxel that changes its phase changes of it.
+
+Chords, cubes and neighbours are thin or small: bodies that are bumpy, or joined where they should
+be apart, may have them all. So balls of `RADII` around every `STEP`-th voxel are counted by their
+fraction of a phase, as the measurement cells of local porosity theory (Hilfer 1991,
+doi:10.1103/PhysRevB.44.60) are. A ball counts for the two nearest of the fractions that are told
+apart, in parts of `UNIT` that add up to it: so what one voxel changes is never nothing.
+
+On a local array as in `kernels`. No ball that holds a voxel of the block leaves it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trabecula.engine.compile import inline, kernel
+
+RADII = (4, 8)
+
+STEP = 4
+"""Voxels between the centres of balls along an axis."""
+
+UNIT = 1 << 12
+
+_NEARLY_EMPTY = (0, 0.01, 0.03, 0.07, 0.13, 0.21, 0.3, 0.4)
+FRACTIONS = np.array([*_NEARLY_EMPTY, 0.5, *(1 - one for one in _NEARLY_EMPTY[::-1])])
+"""Fractions that are told apart, closest where a ball nearly fits into a phase."""
+
+OUTSIDE = 255
+
+_LEAD = RADII[-1] // STEP  # balls before the first whose centre is in the block
+_FRACTIONS = len(FRACTIONS)
+
+
+def voxels_of_ball(radius: int) -> int:
+    """Return the number of voxels of a ball around a voxel."""
+    squares = np.square(np.arange(-radius, radius + 1))
+    return int(np.count_nonzero(np.add.outer(np.add.outer(squares, squares), squares) <= radius**2))
+
+
+def _shares() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return where the balls of each radius begin in the other two; for a ball with so many voxels
+    of a phase the lower of its two fractions, and the parts that count for the upper one.
+    """
+    begins, lower, parts = [0], [], []
+    for radius in RADII:
+        voxels = voxels_of_ball(radius)
+        knots = np.rint(FRACTIONS * voxels).astype(np.int64)
+        full = np.arange(voxels + 1)
+        below = np.minimum(np.searchsorted(knots, full, side="right") - 1, len(knots) - 2)
+        share = (full - knots[below]) / (knots[below + 1] - knots[below])
+        lower.append(below)
+        parts.append(np.rint(UNIT * share).astype(np.int64))
+        begins.append(begins[-1] + len(full))
+    return np.array(begins), np.concatenate(lower), np.concatenate(parts)
+
+
+_begins, _lower, _parts = _shares()
+_half_rows = np.array(
+    [
+        [int(np.sqrt(max(radius**2 - far, 0))) for far in range(RADII[-1] ** 2 + 1)]
+        for radius in RADII
+    ]
+)  # half of the row of a ball whose distance from its centre has this square
+
+
+@kernel
+def count_balls(local, margin, phases, counts, rooms):
+    """Count the balls whose centres are in the block: counts (radii x channels x fractions,) and
+    rooms (radii,), both in parts.
+    """
+    fills = fill_balls(local, margin, phases)
+    for n in range(len(RADII)):
+        for c in range(fills.shape[1]):
+            first = (n * fills.shape[1] + c) * _FRACTIONS
+            for z in range(_LEAD, fills.shape[2] - _LEAD):
+                for y in range(_LEAD, fills.shape[3] - _LEAD):
+                    for x in range(_LEAD, fills.shape[4] - _LEAD):
+                        if fills[n, c, z, y, x] < 0:
+                            continue
+                        if c == 0:
+                            rooms[n] += UNIT
+                        at = _begins[n] + fills[n, c, z, y, x]
+                        counts[first + _lower[at]] += UNIT - _parts[at]
+                        counts[first + _lower[at] + 1] += _parts[at]
+
+
+@inline
+def fill_balls(local, margin, phases):
+    """Return how many voxels of a phase the balls hold that meet the block, (radii, channels, z, y,
+    x); -1 where one leaves the material. Of two phases the second has a channel, else all have one.
+    """
+    channels = 1 if phases == 2 else phases
+    sides = np.empty(3, np.int64)
+    for axis in range(3):
+        sides[axis] = (local.shape[axis] - 2 * margin - 1) // STEP + 1 + 2 * _LEAD
+    fills = np.empty((len(RADII), channels, sides[0], sides[1], sides[2]), np.int32)
+    sums = np.empty((local.shape[0], local.shape[1], local.shape[2] + 1), np.uint16)
+    for c in range(channels):
+        _sum_rows(local, 1 if channels == 1 else c, sums)
+        for n in range(len(RADII)):
+            for z in range(sides[0]):
+                for y in range(sides[1]):
+                    for x in range(sides[2]):
+                        fills[n, c, z, y, x] = _fill(
+                            sums,
+                            n,
+                            margin + (z - _LEAD) * STEP,
+                            margin + (y - _LEAD) * STEP,
+                            margin + (x - _LEAD) * STEP,
+                        )
+    return fills
+
+
+@inline
+def _sum_rows(local, phase, sums):
+    """Sum the voxels of a phase along x, in the low byte, and those outside in the high one."""
+    for z in range(local.shape[0]):
+        for y in range(local.shape[1]):
+            total = np.uint16(0)
+            sums[z, y, 0] = 0
+            for x in range(local.shape[2]):
+                there = local[z, y, x]
+                total += np.uint16(there == phase) + np.uint16(256 * (there == OUTSIDE))
+                sums[z, y, x + 1] = total
+
+
+@inline
+def _fill(sums, n, z, y, x):
+    """Return how many voxels of a phase a ball holds; -1 where it leaves the material."""
+    radius, found = RADII[n], np.int32(0)
+    for dz in range(-radius, radius + 1):
+        for dy in range(-radius, radius + 1):
+            far = dz * dz + dy * dy
+            if far > radius * radius:
+                continue
+            half = _half_rows[n, far]
+            row = sums[z + dz, y + dy]
+            both = np.int32(row[x + half + 1]) - np.int32(row[x - half])
+            if both > 255:
+                return np.int32(-1)
+            found += both
+    return found
+
+
+@inline
+def list_ball_changes(fills, z, y, x, own, new, first, tally, bins, by, count):
+    """List the bins, from `first` on, that change where a voxel of the block becomes a phase, and
+    by how many parts; return how many. `tally` (fractions,) holds zeros.
+    """
+    channels = fills.shape[1]
+    for n in range(len(RADII)):
+        for c in range(channels):
+            more = (c == new) - (c == own)
+            if channels == 1:
+                more = np.int64(new) - np.int64(own)
+            if more == 0:
+                continue
+            _tally(fills[n, c], n, z, y, x, more, tally)
+            for k in range(_FRACTIONS):
+                if tally[k] != 0:
+                    bins[count] = first + (n * channels + c) * _FRACTIONS + k
+                    by[count] = tally[k]
+                    tally[k] = 0
+                    count += 1
+    return count
+
+
+@inline
+def _tally(fills, n, z, y, x, more, tally):
+    """Add what balls of a radius around a voxel change where they have `more` voxels of a phase."""
+    radius, begin = RADII[n], _begins[n]
+    for k in range(_first_ball(z, radius), _last_ball(z, radius) + 1):
+        dz = (k - _LEAD) * STEP - z
+        for j in range(_first_ball(y, radius), _last_ball(y, radius) + 1):
+            dy = (j - _LEAD) * STEP - y
+            far = dz * dz + dy * dy
+            if far > radius * radius:
+                continue
+            half = _half_rows[n, far]
+            for i in range(_first_ball(x, half), _last_ball(x, half) + 1):
+                full = fills[k, j, i]
+                if full < 0:
+                    continue
+                at = begin + full
+                tally[_lower[at]] -= UNIT - _parts[at]
+                tally[_lower[at] + 1] -= _parts[at]
+                at += more
+                tally[_lower[at]] += UNIT - _parts[at]
+                tally[_lower[at] + 1] += _parts[at]
+
+
+@inline
+def refill_balls(fills, z, y, x, own, new):
+    """Fill the balls around a voxel of the block that became a phase."""
+    channels = fills.shape[1]
+    for n in range(len(RADII)):
+        for c in range(channels):
+            more = (c == new) - (c == own)
+            if channels == 1:
+                more = np.int64(new) - np.int64(own)
+            if more != 0:
+                _refill(fills[n, c], n, z, y, x, more)
+
+
+@inline
+def _refill(fills, n, z, y, x, more):
+    """Add `more` voxels to the balls of a radius around a voxel."""
+    radius = RADII[n]
+    for k in range(_first_ball(z, radius), _last_ball(z, radius) + 1):
+        dz = (k - _LEAD) * STEP - z
+        for j in range(_first_ball(y, radius), _last_ball(y, radius) + 1):
+            dy = (j - _LEAD) * STEP - y
+            far = dz * dz + dy * dy
+            if far > radius * radius:
+                continue
+            half = _half_rows[n, far]
+            for i in range(_first_ball(x, half), _last_ball(x, half) + 1):
+                if fills[k, j, i] >= 0:
+                    fills[k, j, i] += more
+
+
+@inline
+def _first_ball(place, reach):
+    """Return the first ball along an axis whose centre is within reach of a place in the block."""
+    return (place + _LEAD * STEP - reach + STEP - 1) // STEP
+
+
+@inline
+def _last_ball(place, reach):
+    """Return the last one."""
+    return (place + _LEAD * STEP + reach) // STEP
