@@ -379,6 +379,12 @@ def _texture_without_flips() -> tb.Image:
     return tb.method("texture", interface_rounds=0).fit(bone(24)).generate(SHAPE, seed=6)
 
 
+@case("texture-without-balls")
+def _texture_without_balls() -> tb.Image:
+    """Make what the default of before made, whose flips did not count balls."""
+    return tb.method("texture", interface_balls=False).fit(bone(24)).generate(SHAPE, seed=6)
+
+
 @case("texture-by-leaves")
 def _texture_by_leaves() -> tb.Image:
     return tb.method("texture", search="leaves").fit(bone(24)).generate(SHAPE, seed=6)
