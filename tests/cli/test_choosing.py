@@ -134,6 +134,7 @@ def beads(folder):
     return values
 
 
+@pytest.mark.whole
 def test_separate_balls_are_packed_unless_packing_cannot_make_what_is_asked_for(beads):
     made = trabecula("generate", "beads.tif", "--shape", 40, "--seed", 1, "--out", "packed.zarr")
     assert choice(made) == ["trabecula: method packing"]
@@ -147,6 +148,7 @@ def test_separate_balls_are_packed_unless_packing_cannot_make_what_is_asked_for(
     assert choice(large) == ["trabecula: method texture"]
 
 
+@pytest.mark.whole
 def test_closed_cells_are_made_anew_unless_their_walls_cannot_be(tmp_path):
     cells = tb.sample("cells")
     tb.write(tb.crop(cells, 48), tmp_path / "cells.tif")

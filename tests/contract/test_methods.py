@@ -42,7 +42,7 @@ memory-mapped arrays.
 SLOW = {
     "old processor": {
         *("bubbles", "chen", "fibres", "kopf", "mrf", "noise", "packing", "quilt", "sliced"),
-        "tessellation",
+        *("tessellation", "texture"),
     },
     "presets": {"bubbles", "gan", "mrf"},
     "memory forecast": {"chen", "mrf", "sliced"},

@@ -39,6 +39,7 @@ def test_a_foam_keeps_its_topology_and_its_place(pair):
     assert max(off.there, off.back) < 0.52 and 0 < off.mean < 0.15
 
 
+@pytest.mark.slow
 def test_a_tighter_tolerance_keeps_more(pair):
     surface, fewer = pair
     close = decimate(surface, 0.2)

@@ -132,7 +132,7 @@ def test_a_surface_moves_by_little(model, monkeypatch):
     assert found.moved == ((0.75, found.value),) and found.made[0][0] == 0.72
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_properties_are_those_of_the_descriptors():
     image = tb.crop(tb.sample("bone"), 24)
     found = tb.describe(image, level="full")

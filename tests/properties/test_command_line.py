@@ -17,7 +17,7 @@ import trabecula as tb
 from commands import SMALL, attempt, contents
 from trabecula.cli.main import VERBS
 
-few = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+few = settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 # What a shell can pass: no NUL, and bytes that are no UTF-8 as surrogates.
 words = st.text(

@@ -59,7 +59,7 @@ def test_older_recipes_have_none(name):
     assert tb.method(name).config.feature
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_stones_keep_their_shapes_with_it(data):
     """Slices of gravel repeat the autocorrelation of the picture better than without."""
     image = tb.crop(tb.read(data / "tex_gravel.png"), 96)

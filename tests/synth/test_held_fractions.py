@@ -159,7 +159,9 @@ def test_a_shift_keeps_away_from_known_voxels():
     assert (field[0, 22:34] > 0).mean() == pytest.approx(0.6, abs=0.05)
 
 
-@pytest.mark.parametrize("periodic", [OPEN, (True, True, False)])
+@pytest.mark.parametrize(
+    "periodic", [OPEN, pytest.param((True, True, False), marks=pytest.mark.slow)]
+)
 def test_a_masked_field_is_met_inside_alone(periodic):
     exemplar = tb.crop(tb.sample("bone"), 48)
     mask = np.zeros((48, 48, 64), bool)

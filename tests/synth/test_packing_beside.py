@@ -309,6 +309,7 @@ def test_few_known_voxels_stay_and_what_stands_is_counted(model, scan, which):
         assert stand == 0
 
 
+@pytest.mark.slow
 def test_bubbles_go_on_across_the_joint(scan):
     exemplar = tb.Image(1 - beads(SIDE, seed=5)[1].astype(np.uint8), "labels")
     model = tb.method("packing", phase="void", separation=1.0, fillet=0.0).fit(exemplar)

@@ -123,7 +123,7 @@ def test_the_denser_place_is_held_to_denser_places(bias):
     assert lengths @ there[longest] > 1.05 * (lengths @ mean[longest])
 
 
-@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_it_is_kept(count, bias):
     if count == 3:
         exemplar = rough(1) + rough(5)

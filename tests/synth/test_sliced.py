@@ -78,7 +78,7 @@ def test_two_views_make_an_anisotropic_material():
     assert kept[2] > max(kept[:2]) + 0.05
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_the_picture_itself_as_the_middle_slice(picture, model):
     values, known = np.zeros((24, 64, 64), np.uint8), np.zeros((24, 64, 64), bool)
     values[12], known[12] = picture.values, True

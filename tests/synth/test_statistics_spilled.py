@@ -287,7 +287,7 @@ def test_new_material_is_the_same_in_scratch_files(model, whole, tmp_path):
         assert np.array_equal(model.make(Request(SHAPE, seed=3))[0], whole)
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_leaves_are_searched_alike_in_scratch_files_and_by_threads(model, tmp_path):
     """Features are held in memory, and made twice where arrays are in files."""
     settings = {"sweeps": 1, "tries": 1, "search": "leaves"}

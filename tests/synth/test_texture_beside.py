@@ -83,6 +83,7 @@ def test_memory_is_forecast(model, request_, made):
     check_memory(model, request_)
 
 
+@pytest.mark.slow
 def test_where_little_is_free_known_voxels_are_met_from_level_1_on():
     """Without steps what rounds from noise make on level 2 did not meet them: joints showed."""
     shape = (128, 64, 64)
@@ -151,7 +152,7 @@ def test_beside_known_voxels_a_field_is_held_and_nothing_is_copied(bone):
     assert tb.measure.coherence(exemplar, made.values[held:], k=(4,))[4] < 0.12
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_a_field_beside_known_voxels_resumes_and_its_memory_is_forecast(
     bone, tmp_path, monkeypatch
 ):

@@ -41,7 +41,7 @@ def test_bodies_wider_than_a_narrow_window_are_not_cut_up():
     assert at_its_own_porosity(exemplar, 64) < 1.25
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_fine_bodies_are_not_smoothed_away():
     """Smoothed they had three quarters of their interface."""
     bone = tb.sample("bone")

@@ -224,7 +224,7 @@ def test_one_number_is_met_by_new_material(bone):
     assert thickness == pytest.approx(1, abs=0.15)  # more struts rather than thicker ones
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_a_graded_result_is_not_made_of_moved_patches(bone, monkeypatch):
     """Interfaces that are moved in the end would hide copies: the votes before that are new."""
     piece = tb.crop(bone, 48)

@@ -181,7 +181,7 @@ def test_beside_fixed_voxels_grey_values_are_new(kind, request, grey):
     assert np.abs(levels[16:] - own[16 : SHAPE[0]]).mean() > 15, "not the scan's own continuation"
 
 
-@pytest.mark.whole
+@pytest.mark.slow
 def test_beside_fixed_voxels_threads_files_and_tiles_change_nothing(
     model, grey, tmp_path, monkeypatch
 ):
