@@ -566,7 +566,7 @@ def _check_memory(case: MethodCase) -> None:
     if getattr(type(case.model), hook) is getattr(Model, hook, None):
         raise Inapplicable(f"the model has no hook {hook}")
     # Its length changes nothing in what it holds.
-    model = case.fit(preset=_fast(case))
+    model = case.fast_model
     request = Request((96, 88, 80), seed=1)
     plan = model.plan(request)
     arrays = plan.peak - sum(plan.memory.get(part, 0) for part in _OUTSIDE)
@@ -581,7 +581,7 @@ def _check_resident_memory(case: MethodCase) -> None:
     """Check that a run in memory-mapped arrays takes no more memory than was forecast."""
     if case.capabilities.large != "memmap":
         raise Inapplicable("the method makes nothing in memory-mapped arrays")
-    model, folder = case.fit(preset=_fast(case)), case.folder()
+    model, folder = case.fast_model, case.folder()
     request = Request((64, 72, 56), seed=1)
     budget = model.plan_mapped(request, 0).peak + (4 << 20)
     plan = model.plan_mapped(request, budget)
@@ -608,10 +608,6 @@ def _check_learning(case: MethodCase) -> None:
     assert peak <= arrays <= 1.5 * peak, f"learning takes {peak} bytes, {arrays} were forecast"
     with raises(MemoryBudgetError, "smaller crop", "learning over its budget should be refused"):
         chosen.fit(exemplar, memory=plan.peak - 1)
-
-
-def _fast(case: MethodCase) -> str | None:
-    return "fast" if "fast" in case.capabilities.presets else None
 
 
 @_check("refused exemplars")
@@ -675,7 +671,7 @@ def _target_model(case: MethodCase) -> Model:
     """Return a model for targets, or say that the method honours none."""
     if "target" not in case.capabilities.honours:
         raise Inapplicable("the method honours no target")
-    return case.fit(preset=_fast(case))
+    return case.fast_model
 
 
 def _asked(model: Model, shape: tuple[int, ...], target: Mapping[str, Any]) -> Image:

@@ -142,6 +142,11 @@ class MethodCase:
         return self.fit()
 
     @cached_property
+    def fast_model(self) -> Model:
+        """Return a model by the preset "fast", where there is one."""
+        return self.fit(preset="fast") if "fast" in self.capabilities.presets else self.model
+
+    @cached_property
     def material(self) -> Image:
         """Return a result of the model."""
         return self.model.generate(SHAPE, seed=SEED)

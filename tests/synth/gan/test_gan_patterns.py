@@ -47,19 +47,25 @@ def matched(plain, exemplar):
     return plain.matched_to(exemplar)
 
 
-@pytest.mark.parametrize("specks", [0, 2])
-def test_a_box_is_what_the_whole_has_there(exemplar, specks):
-    model = untrained(specks=specks).matched_to(exemplar)
+@pytest.fixture(scope="module", params=[0, 2])
+def before_and_after(request, plain, matched, exemplar):
+    """Return a model and what it is matched to the exemplar, without specks or with them."""
+    if request.param:
+        return plain, matched
+    without = untrained(specks=0)
+    return without, without.matched_to(exemplar)
+
+
+def test_a_box_is_what_the_whole_has_there(before_and_after):
+    _, model = before_and_after
     whole = model.window(10, ((20, 80), (-40, 30), (50, 72)), seed=2)
     one = model.window(10, ((60, 70), (-3, 5), (63, 66)), seed=2)
     assert np.array_equal(one, whole[40:50, 37:45, 13:16])
 
 
-@pytest.mark.parametrize("specks", [0, 2])
-def test_only_interfaces_change_and_no_tile_its_fraction(exemplar, specks):
-    plain = untrained(specks=specks)
+def test_only_interfaces_change_and_no_tile_its_fraction(before_and_after):
     box = ((0, 64), (64, 128), (0, 64))
-    before, after = (m.window(10, box, seed=4) for m in (plain, plain.matched_to(exemplar)))
+    before, after = (model.window(10, box, seed=4) for model in before_and_after)
     changed = before != after
     assert 0.005 < changed.mean() < 0.2
     assert before.sum() == after.sum()
