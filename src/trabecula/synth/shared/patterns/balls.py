@@ -3,8 +3,8 @@
 Chords, cubes and neighbours are thin or small: bodies that are bumpy, or joined where they should
 be apart, may have them all. So balls of `RADII` around every `STEP`-th voxel are counted by their
 fraction of a phase, as the measurement cells of local porosity theory (Hilfer 1991,
-doi:10.1103/PhysRevB.44.60) are. A ball counts for the two nearest of the fractions that are told
-apart, in parts of `UNIT` that add up to it: so what one voxel changes is never nothing.
+doi:10.1103/PhysRevB.44.60) are. A ball counts for the two nearest of `FRACTIONS`, in parts of
+`UNIT` that add up to it: so what one voxel changes is never nothing.
 
 On a local array as in `kernels`. No ball that holds a voxel of the block leaves it.
 """
@@ -24,7 +24,7 @@ UNIT = 1 << 12
 
 _NEARLY_EMPTY = (0, 0.01, 0.03, 0.07, 0.13, 0.21, 0.3, 0.4)
 FRACTIONS = np.array([*_NEARLY_EMPTY, 0.5, *(1 - one for one in _NEARLY_EMPTY[::-1])])
-"""Fractions that are told apart, closest where a ball nearly fits into a phase."""
+"""Fractions that balls count for, closest where a ball nearly fits into a phase."""
 
 OUTSIDE = 255
 
