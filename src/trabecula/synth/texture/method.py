@@ -525,8 +525,7 @@ class TextureModel(Model):
         phases, count = self._phases()
         shortest = min(min(one.shape) for one in phases)
         width = max(self._window(0), shortest // _PARTS)
-        balls = self.config.interface_balls
-        return PatternDensities.by_fraction(phases, count, width, balls=balls)
+        return PatternDensities.by_fraction(phases, count, width)
 
     def _phases(self) -> tuple[list[np.ndarray], int]:
         """Return the exemplars' phases, counted from 0, and their number."""

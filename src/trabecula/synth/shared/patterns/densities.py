@@ -44,10 +44,10 @@ class PatternDensities:
 
     @classmethod
     def by_fraction(
-        cls, exemplars: Sequence[np.ndarray], count: int, width: int, *, balls: bool = False
+        cls, exemplars: Sequence[np.ndarray], count: int, width: int
     ) -> PatternDensities:
         """Measure windows of exemplars, and with them the slopes."""
-        windows, fractions, bins = [], [], Bins(count, balls)
+        windows, fractions, bins = [], [], Bins(count)
         for phases in exemplars:
             boxes = boxes_of(phases.shape, width)
             windows += Patterns.by_kind(phases, bins, boxes, np.arange(len(boxes)))
