@@ -114,8 +114,8 @@ class TextureConfig:
 
     interface_balls: bool = True
     """Whether `interface_rounds` also bring to the exemplar's how full of a phase balls of 4 and 8
-    voxels' radius are, where there is no target: bodies and pores of several voxels are as wide as
-    there. Recipes and models that do not name it: False."""
+    voxels' radius are, where there are neither a target nor known voxels: bodies and pores of
+    several voxels are as wide as there. Recipes and models that do not name it: False."""
 
     beyond_known: float = 0.7
     """Beside known voxels: how far a known voxel of labels is taken to be from an interface beyond

@@ -545,12 +545,13 @@ class TextureModel(Model):
         """
         assert isinstance(self.content, Labels)
         graded, free = bool(request.target), free_voxels(request)
+        patterns = self._patterns_by_fraction if graded else self._patterns
         return match_patterns(
             values,
             votes,
             self.content,
             request,
-            self._patterns_by_fraction if graded else self._patterns,
+            patterns if request.fixed is None else patterns.without_balls(),
             FlipRegion(request.periodic, free, request.mask, graded, fractions, self._held_width),
             rounds=self.config.interface_rounds,
             clip=self.config.clip,

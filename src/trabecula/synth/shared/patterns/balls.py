@@ -114,7 +114,9 @@ def fill_balls(local, margin, phases):
 
 @inline
 def _sum_rows(local, phase, sums):
-    """Sum the voxels of a phase along x, in the low byte, and those outside in the high one."""
+    """Sum the voxels of a phase along x, less than 256 a row, in the low byte, and those outside in
+    the high one.
+    """
     for z in range(local.shape[0]):
         for y in range(local.shape[1]):
             total = np.uint16(0)
@@ -151,9 +153,7 @@ def list_ball_changes(fills, z, y, x, own, new, first, tally, bins, by, count):
     channels = fills.shape[1]
     for n in range(len(RADII)):
         for c in range(channels):
-            more = (c == new) - (c == own)
-            if channels == 1:
-                more = np.int64(new) - np.int64(own)
+            more = _gained(c, channels, own, new)
             if more == 0:
                 continue
             _tally(fills[n, c], n, z, y, x, more, tally)
@@ -164,6 +164,14 @@ def list_ball_changes(fills, z, y, x, own, new, first, tally, bins, by, count):
                     tally[k] = 0
                     count += 1
     return count
+
+
+@inline
+def _gained(channel, channels, own, new):
+    """Return how many voxels of its phase a channel gains where a voxel becomes a phase."""
+    if channels == 1:
+        return np.int64(new) - np.int64(own)
+    return np.int64(channel == new) - np.int64(channel == own)
 
 
 @inline
@@ -196,9 +204,7 @@ def refill_balls(fills, z, y, x, own, new):
     channels = fills.shape[1]
     for n in range(len(RADII)):
         for c in range(channels):
-            more = (c == new) - (c == own)
-            if channels == 1:
-                more = np.int64(new) - np.int64(own)
+            more = _gained(c, channels, own, new)
             if more != 0:
                 _refill(fills[n, c], n, z, y, x, more)
 

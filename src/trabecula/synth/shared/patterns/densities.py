@@ -75,6 +75,10 @@ class PatternDensities:
                 chords[axis] = found
         return replace(self, own=own)
 
+    def without_balls(self) -> PatternDensities:
+        """Return those of the other patterns."""
+        return replace(self, bins=Bins(self.bins.phases), own=self.own[: self.bins.balls])
+
     def at(self, fraction: float) -> np.ndarray | None:
         """Return the densities of places with a fraction of the second phase; None where the
         exemplar tells nothing about them.

@@ -15,7 +15,7 @@ EFFORT = 0.5
 """What a change costs of a voxel that the votes put a voxel away from the interface."""
 
 _NEIGHBOURS = 0.3  # weight of their misfit beside that of chords and cubes
-_BALLS = 100.0
+_BALLS = 100.0  # of that of balls, of which there is one for 64 voxels
 _EULER = 20.0  # of that of Euler numbers
 
 
