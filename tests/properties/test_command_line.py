@@ -17,7 +17,7 @@ import trabecula as tb
 from commands import SMALL, attempt, contents
 from trabecula.cli.main import VERBS
 
-few = settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+few = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 # What a shell can pass: no NUL, and bytes that are no UTF-8 as surrogates.
 words = st.text(
@@ -156,7 +156,7 @@ plain_json = st.recursive(
 
 
 @pytest.mark.whole
-@few
+@settings(few, max_examples=30)  # two commands each
 @given(st.data())
 def test_any_change_of_a_recipe_is_told(folder, data):
     """Somewhere in the recipe of a file stands something else, or nothing."""

@@ -274,7 +274,7 @@ def test_voxels_that_are_not_free_and_outside_stay(smooth_and_target):
 def test_beside_fixed_voxels_only_what_is_free_is_mended():
     """Half of the volume is solid and fixed: the other half still comes out as the exemplar."""
     phases, votes = blobs(0, (48, 48, 48))
-    patterns = learn(grainy(blobs(1, (60, 60, 60))[0], 2))
+    patterns = learn(grainy(blobs(1, (60, 60, 60))[0], 2)).without_balls()
     phases[:, :, :24] = 1
     free = np.ones(phases.shape, bool)
     free[:, :, :24] = False
@@ -282,14 +282,15 @@ def test_beside_fixed_voxels_only_what_is_free_is_mended():
         phases, votes, patterns, FlipRegion(free=free), seed=1, rounds=2, unit=UNIT
     )
     far = (slice(None), slice(None), slice(28, None))
-    assert misfit(made[far], patterns) < 0.7 * misfit(phases[far], patterns)
+    assert misfit(made[far], patterns) < 0.65 * misfit(phases[far], patterns)
 
 
-def test_small_bodies_stay():
-    phases, votes = blobs(0, (40, 40, 40), sigma=4.0)  # one block: in two, they may meet
-    patterns = learn(grainy(blobs(1, (60, 60, 60))[0], 2, 0.3))
+@pytest.mark.parametrize(("side", "every", "balls"), [(40, 1000, True), (60, 4000, False)])
+def test_small_bodies_stay(side, every, balls):
+    phases, votes = blobs(0, (side,) * 3, sigma=4.0)
+    patterns = learn(grainy(blobs(1, (60, 60, 60))[0], 2, 0.3), balls=balls)
     for phase in (0, 1):
-        for at in np.argwhere(phases == phase)[::1000]:
+        for at in np.argwhere(phases == phase)[::every]:
             phases[tuple(at)] = 1 - phase  # single voxels: some alone, some at an interface
     made, report = flip_voxels(phases, votes, patterns, FlipRegion(), seed=1, rounds=2, unit=UNIT)
     assert report["changed"] > 1000
@@ -299,7 +300,8 @@ def test_small_bodies_stay():
             np.isin(labels, 1 + np.flatnonzero(sizes < SMALL)) for labels, sizes in (before, after)
         ]
         assert small[0].any()
-        np.testing.assert_array_equal(*small)
+        # two blocks may meet in one
+        assert np.count_nonzero(small[0] != small[1]) < (1 if side <= BLOCK else 5)
 
 
 def test_what_votes_are_sure_of_changes_least():

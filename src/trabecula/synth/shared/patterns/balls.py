@@ -32,7 +32,7 @@ _LEAD = RADII[-1] // STEP  # balls before the first whose centre is in the block
 _FRACTIONS = len(FRACTIONS)
 
 
-def voxels_of_ball(radius: int) -> int:
+def _voxels_of_ball(radius: int) -> int:
     """Return the number of voxels of a ball around a voxel."""
     squares = np.square(np.arange(-radius, radius + 1))
     return int(np.count_nonzero(np.add.outer(np.add.outer(squares, squares), squares) <= radius**2))
@@ -44,7 +44,7 @@ def _shares() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     begins, lower, parts = [0], [], []
     for radius in RADII:
-        voxels = voxels_of_ball(radius)
+        voxels = _voxels_of_ball(radius)
         knots = np.rint(FRACTIONS * voxels).astype(np.int64)
         full = np.arange(voxels + 1)
         below = np.minimum(np.searchsorted(knots, full, side="right") - 1, len(knots) - 2)
@@ -146,17 +146,22 @@ def _fill(sums, n, z, y, x):
 
 
 @inline
-def list_ball_changes(fills, z, y, x, own, new, first, tally, bins, by, count):
+def list_ball_changes(fills, z, y, x, own, new, first, scratch, bins, by, count):
     """List the bins, from `first` on, that change where a voxel of the block becomes a phase, and
-    by how many parts; return how many. `tally` (fractions,) holds zeros.
+    by how many parts; return how many. `scratch` is what `ball_scratch` returns.
     """
+    tally, around = scratch
     channels = fills.shape[1]
     for n in range(len(RADII)):
+        near = _balls_around(fills[n, 0], n, z, y, x, around)
         for c in range(channels):
             more = _gained(c, channels, own, new)
             if more == 0:
                 continue
-            _tally(fills[n, c], n, z, y, x, more, tally)
+            full = fills[n, c].reshape(-1)
+            for k in range(near):
+                if full[around[k]] >= 0:
+                    _refill(_begins[n] + full[around[k]], more, tally)
             for k in range(_FRACTIONS):
                 if tally[k] != 0:
                     bins[count] = first + (n * channels + c) * _FRACTIONS + k
@@ -164,6 +169,27 @@ def list_ball_changes(fills, z, y, x, own, new, first, tally, bins, by, count):
                     tally[k] = 0
                     count += 1
     return count
+
+
+@inline
+def refill_balls(fills, z, y, x, own, new, scratch):
+    """Fill the balls around a voxel of the block that became a phase."""
+    _, around = scratch
+    channels = fills.shape[1]
+    for n in range(len(RADII)):
+        near = _balls_around(fills[n, 0], n, z, y, x, around)
+        for c in range(channels):
+            more = _gained(c, channels, own, new)
+            full = fills[n, c].reshape(-1)
+            for k in range(near):
+                if full[around[k]] >= 0:
+                    full[around[k]] += more
+
+
+@inline
+def ball_scratch():
+    """Return room for what one voxel changes: parts (fractions,), zero, and balls around it."""
+    return np.zeros(_FRACTIONS, np.int64), np.empty((2 * _LEAD + 1) ** 3, np.int64)
 
 
 @inline
@@ -175,9 +201,20 @@ def _gained(channel, channels, own, new):
 
 
 @inline
-def _tally(fills, n, z, y, x, more, tally):
-    """Add what balls of a radius around a voxel change where they have `more` voxels of a phase."""
-    radius, begin = RADII[n], _begins[n]
+def _refill(at, more, tally):
+    """Add what a ball changes that gets `more` voxels of a phase."""
+    tally[_lower[at]] -= UNIT - _parts[at]
+    tally[_lower[at] + 1] -= _parts[at]
+    tally[_lower[at + more]] += UNIT - _parts[at + more]
+    tally[_lower[at + more] + 1] += _parts[at + more]
+
+
+@inline
+def _balls_around(fills, n, z, y, x, found):
+    """List the balls of a radius that hold a voxel of the block, by their place in fills (z, y, x)
+    read as one line; return how many.
+    """
+    radius, count = RADII[n], 0
     for k in range(_first_ball(z, radius), _last_ball(z, radius) + 1):
         dz = (k - _LEAD) * STEP - z
         for j in range(_first_ball(y, radius), _last_ball(y, radius) + 1):
@@ -185,45 +222,11 @@ def _tally(fills, n, z, y, x, more, tally):
             far = dz * dz + dy * dy
             if far > radius * radius:
                 continue
-            half = _half_rows[n, far]
+            half, line = _half_rows[n, far], (k * fills.shape[1] + j) * fills.shape[2]
             for i in range(_first_ball(x, half), _last_ball(x, half) + 1):
-                full = fills[k, j, i]
-                if full < 0:
-                    continue
-                at = begin + full
-                tally[_lower[at]] -= UNIT - _parts[at]
-                tally[_lower[at] + 1] -= _parts[at]
-                at += more
-                tally[_lower[at]] += UNIT - _parts[at]
-                tally[_lower[at] + 1] += _parts[at]
-
-
-@inline
-def refill_balls(fills, z, y, x, own, new):
-    """Fill the balls around a voxel of the block that became a phase."""
-    channels = fills.shape[1]
-    for n in range(len(RADII)):
-        for c in range(channels):
-            more = _gained(c, channels, own, new)
-            if more != 0:
-                _refill(fills[n, c], n, z, y, x, more)
-
-
-@inline
-def _refill(fills, n, z, y, x, more):
-    """Add `more` voxels to the balls of a radius around a voxel."""
-    radius = RADII[n]
-    for k in range(_first_ball(z, radius), _last_ball(z, radius) + 1):
-        dz = (k - _LEAD) * STEP - z
-        for j in range(_first_ball(y, radius), _last_ball(y, radius) + 1):
-            dy = (j - _LEAD) * STEP - y
-            far = dz * dz + dy * dy
-            if far > radius * radius:
-                continue
-            half = _half_rows[n, far]
-            for i in range(_first_ball(x, half), _last_ball(x, half) + 1):
-                if fills[k, j, i] >= 0:
-                    fills[k, j, i] += more
+                found[count] = line + i
+                count += 1
+    return count
 
 
 @inline

@@ -15,6 +15,7 @@ from trabecula.synth.shared.patterns.balls import (
     FRACTIONS,
     OUTSIDE,
     RADII,
+    ball_scratch,
     fill_balls,
     list_ball_changes,
     refill_balls,
@@ -205,7 +206,7 @@ def flip_block(
         fills = fill_balls(local, MARGIN, phases)
     else:
         fills = np.empty((0, 0, 0, 0, 0), np.int32)
-    around = (codes, fills, np.zeros(_FRACTIONS, np.int64))
+    around = (codes, fills, ball_scratch())
     marks, mark = np.zeros(local.size, np.int32), np.int32(0)
     stack = np.empty(_SMALL, np.int64)
     bins, by = np.empty(_MOST_BINS, np.int64), np.empty(_MOST_BINS, np.int64)
@@ -387,7 +388,7 @@ def _all_neighbours(local):
 @inline
 def _apply(local, around, z, y, x, new):
     """Give a voxel to a phase; neighbours and balls `around` follow."""
-    codes, fills, _ = around
+    codes, fills, scratch = around
     own = local[z, y, x]
     local[z, y, x] = new
     for dz in range(-1, 2):
@@ -403,13 +404,14 @@ def _apply(local, around, z, y, x, new):
     if codes[z, y, x] >= 0:
         codes[z, y, x] = _neighbours(local, z, y, x)
     if fills.size:
-        refill_balls(fills, z - MARGIN, y - MARGIN, x - MARGIN, own, new)
+        place = (z - MARGIN, y - MARGIN, x - MARGIN)
+        refill_balls(fills, *place, own, new, scratch)
 
 
 @inline
 def _changes(local, around, z, y, x, new, phases, powers, grid, bins, by):
     """List the bins that change where a voxel becomes a phase, and by how much; return how many."""
-    codes, fills, tally = around
+    codes, fills, scratch = around
     count, own = 0, local[z, y, x]
     for axis in range(3):
         count = _chord_changes(local, axis, z, y, x, new, phases, bins, by, count)
@@ -459,7 +461,7 @@ def _changes(local, around, z, y, x, new, phases, powers, grid, bins, by):
     if fills.size:
         first += phases * NEIGHBOURS
         place = (z - MARGIN, y - MARGIN, x - MARGIN)
-        count = list_ball_changes(fills, *place, own, new, first, tally, bins, by, count)
+        count = list_ball_changes(fills, *place, own, new, first, scratch, bins, by, count)
     return count
 
 
