@@ -131,7 +131,6 @@ def sum_materials() -> Figures:
         "materials": len(now),
         "figures": figures,
         "percent": round(100 * (1 - outside / figures), 1),
-        "whole": round(100 * (1 - outside / figures)),
     }
 
 

@@ -54,5 +54,4 @@ def test_the_table_of_materials_is_summed_up(quoted):
         "materials": 14,
         "figures": 3399,
         "percent": 98.7,
-        "whole": 99,
     }
