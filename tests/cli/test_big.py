@@ -62,6 +62,7 @@ def interrupted(place, monkeypatch):
     return place
 
 
+@pytest.mark.whole
 def test_resume_needs_no_other_word(interrupted):
     begun = {path: path.stat().st_mtime_ns for path in Path("big.zarr.part").rglob("0/c/*/*/*")}
     assert len(begun) == 2

@@ -66,6 +66,7 @@ def test_the_words_and_the_figures():
     assert "25 um (the sample)" in trabecula("inspect", "sample:foam").out
 
 
+@pytest.mark.whole
 def test_how_it_is_read():
     found = json.loads(
         trabecula("inspect", "picture.png", "--spacing", 2, "--unit", "um", "--json").out

@@ -58,6 +58,7 @@ def test_files_and_exemplars_have_names_too(here):
     assert "unrecognized" not in trabecula("measure", "--config", file, "--full", "--box", 4).err
 
 
+@pytest.mark.whole
 def test_a_recipe_is_a_file_of_options(here):
     made = trabecula(
         *("generate", "sample:bone", "--crop", 24, "--method", "noise", "--shape", 12),

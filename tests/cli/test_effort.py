@@ -32,6 +32,7 @@ def judge(monkeypatch, outside):
     monkeypatch.setattr(choosing, "verify", verdicts)
 
 
+@pytest.mark.whole
 def test_the_trial_with_the_fewest_figures_out_of_band_is_taken(bone, monkeypatch):
     judge(monkeypatch, [3, 1, 2])
     chosen, made = tb.choose_settings(tb.method("texture", tries=1), bone)
@@ -73,6 +74,7 @@ def test_another_method_is_tried_beside_the_settings(bone, monkeypatch):
     assert [dict(trial.settings) for trial in made] == [{}, {"method": "noise"}]
 
 
+@pytest.mark.whole
 def test_methods_that_cannot_make_the_request_are_not_tried(bone):
     def others(*words):
         options = whole_parser().parse_args(["generate", "bone.tif", "--out", "x.tif", *words])
@@ -86,6 +88,7 @@ def test_methods_that_cannot_make_the_request_are_not_tried(bone):
     assert others("--shape", "2000", "2000", "2000", "--memory", "1") == []
 
 
+@pytest.mark.whole
 def test_of_equally_many_figures_out_of_band_the_nearer_material_is_taken(bone, monkeypatch):
     def verdicts(exemplar, *images):
         found = []
@@ -105,6 +108,7 @@ def test_of_equally_many_figures_out_of_band_the_nearer_material_is_taken(bone, 
     assert str(made[1]).endswith("0 of 3 figures out of band; all 0.20 of their bands off")
 
 
+@pytest.mark.whole
 def test_a_method_that_cannot_learn_is_left_out_with_a_line(bone, monkeypatch):
     judge(monkeypatch, [1])
     told = []
@@ -153,6 +157,7 @@ def test_the_command_line_tells_every_trial_and_records_the_settings(tmp_path, b
     assert np.array_equal(tb.read(out).values, again.values)
 
 
+@pytest.mark.whole
 def test_effort_beside_a_model_or_without_an_exemplar_is_refused(tmp_path, bone, capsys):
     out, model = str(tmp_path / "x.tif"), tmp_path / "bone.model"
     tb.method("texture", preset="fast").fit(bone).save(model)

@@ -295,6 +295,7 @@ def test_an_exemplar_smaller_than_the_output_in_one_axis_only(place, shape):
     assert 0.02 < image.values.mean() < 0.6
 
 
+@pytest.mark.whole
 def test_seed_and_threads(place):
     first = json.loads(generate("scan.npy", "--seed", 3, "--threads", 1, "--json")[1].out)
     again = json.loads(
@@ -356,6 +357,7 @@ def test_methods_and_samples_are_listed():
     assert "sample:bone" in text and "stand-in" in text and "digitalporousmedia.org" in text
 
 
+@pytest.mark.whole
 def test_measure_prints_every_descriptor(place):
     found = json.loads(trabecula("measure", "sample:bone", "--crop", 28, "--json").out)
     values = np.load("scan.npy")

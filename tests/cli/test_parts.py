@@ -178,6 +178,7 @@ def test_a_scan_is_continued_from_its_corner(place):
     assert trabecula("rerun", "made.zarr").sha256 == output.sha256
 
 
+@pytest.mark.whole
 def test_a_hole_is_repaired_where_nothing_is_known(place):
     image, output = generate("--fixed", "other.zarr", "--known", "known.tif")
     assert image.shape == (28, 28, 28)

@@ -40,6 +40,11 @@ COMMANDS = {
     "fit": ("fit", "in.zarr", "--method", "noise", "--set", "reach=4", "--out", "closed/new.model"),
 }
 
+REFUSED_LATE = [
+    pytest.param(name, marks=pytest.mark.whole) if name == "verify" else name for name in COMMANDS
+]
+"""The same for what is done before the folder refuses: `verify` draws a page first."""
+
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
@@ -109,7 +114,7 @@ def test_a_folder_without_the_right_to_write(place, command):
     assert contents(place) == before
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", REFUSED_LATE)
 def test_a_folder_that_refuses_when_it_is_written(place, closed_folder, command):
     before = contents(place)
     told = attempt(*COMMANDS[command])

@@ -135,6 +135,7 @@ def test_voxels_without_their_note_are_made_again_from_the_last_state(
     assert names(tmp_path) == ["x.zarr"]
 
 
+@pytest.mark.whole
 def test_files_that_a_kill_left_go_with_the_next_word(model, tmp_path, monkeypatch):
     """Killed between the last block and the removal of the scratch files."""
     path = tmp_path / "x.zarr"

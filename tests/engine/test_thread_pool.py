@@ -94,6 +94,7 @@ def test_an_interruption_waits_for_those_who_work():
     assert len(ended) == 1
 
 
+@pytest.mark.whole
 def test_nothing_of_work_that_failed_is_held_afterwards():
     class Large:
         pass
@@ -115,6 +116,7 @@ def test_nothing_of_work_that_failed_is_held_afterwards():
         gc.enable()
 
 
+@pytest.mark.whole
 def test_nothing_of_the_work_is_held_afterwards():
     """Also where the other threads are busy elsewhere and have not heard of it."""
     hold, held = threading.Event(), threading.Semaphore(0)

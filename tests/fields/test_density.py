@@ -50,6 +50,7 @@ def test_windows_of_a_larger_volume_vary_and_reach_as_the_material_s():
         assert np.mean([correlation(f, lag) for f in fields]) == pytest.approx(true, abs=0.1), lag
 
 
+@pytest.mark.whole
 def test_longer_waves_reach_farther():
     reach = [
         correlation(tb.fields.density_like(uneven(0, wave=wave), 96, window=WINDOW).values, WINDOW)

@@ -186,6 +186,7 @@ def test_a_part_that_its_case_does_not_meet_is_refused():
         fields.part_stress(part[0], column)
 
 
+@pytest.mark.whole
 def test_normals_of_a_finished_part_are_its_forms(ball):
     """A ball full of holes is held where the ball's surface faces down, not at its holes."""
     holes = ball.copy()
@@ -237,6 +238,7 @@ def test_stress_follows_a_beam():
     assert found.compliance[0] > 0
 
 
+@pytest.mark.whole
 def test_a_part_of_the_users_own(tmp_path, ball):
     tb.export(tb.Image(np.pad(ball, 1).astype(np.uint8), "labels"), tmp_path / "ball.stl")
     given = {**BLOCK, "supports": [{"normal": [-1, 0, 0]}], "volume": 0.3,

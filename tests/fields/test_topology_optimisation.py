@@ -241,6 +241,7 @@ def test_a_load_is_shared_by_the_nodes_that_it_meets():
     assert grid.load.sum(axis=(0, 1, 2)) == pytest.approx(wanted)
 
 
+@pytest.mark.whole
 def test_progress_rises_once_over_all_grids(monkeypatch):
     """The rounds of a grid end when the compliance hardly changes: a share of the most that are
     allowed said hours where minutes were left.

@@ -56,6 +56,7 @@ def test_the_fraction_is_met_and_nothing_joins_or_breaks(change, periodic):
     assert told["layers"] >= 1
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("periodic", [False, True])
 def test_topology_stays_in_any_volume(periodic):
     draw, met = np.random.default_rng(0), 0
@@ -94,6 +95,7 @@ def test_thin_and_thick_parts_lose_as_much_depth():
     assert thin == pytest.approx(thick, rel=0.35) and thin > 0.2
 
 
+@pytest.mark.whole
 def test_bone_keeps_its_surface():
     bone = tb.crop(tb.sample("bone"), 64)
     solid = (bone.values == bone.phases.index("solid")).mean()
@@ -133,6 +135,7 @@ def test_other_phases_and_the_outside_of_a_form_stay():
     assert np.all(grown[:11] != 2) and np.all(grown[13:] != 1) and {1, 2} <= set(np.unique(grown))
 
 
+@pytest.mark.whole
 def test_slices_and_recipes(tmp_path):
     flat = grains((40, 40), seed=3)
     part = offset(flat, fraction=flat.mean() + 0.03)

@@ -59,6 +59,7 @@ def test_a_rolled_image_gives_the_rolled_result(name, axes, masked):
         assert report(again) == report(part)
 
 
+@pytest.mark.whole
 @settings(max_examples=60)
 @given(st.integers(0, 10_000), st.integers(2, 3), st.sampled_from([0.1, 0.5, 0.9, 1.1]))
 def test_small_and_full_images_roll_as_well(seed, ndim, share):

@@ -62,6 +62,7 @@ figures = _load_figures()
 PACKAGE_FILES = figures.python_files(figures.PACKAGE)
 
 
+@pytest.mark.whole
 def test_docstrings_begin_with_an_imperative():
     figure = figures.imperative_docstrings(PACKAGE_FILES)
     assert 1 - figure.share >= IMPERATIVE, "\n".join(figure.places)
@@ -106,6 +107,7 @@ def test_vocabulary_has_none_of_the_private_words():
     assert [word for names, _ in vocabulary() for word in names.split(", ") if word in PLAIN] == []
 
 
+@pytest.mark.whole
 def test_docstrings_use_plain_words():
     texts = {_shown(path): "\n".join(_docstrings(path)) for path in PACKAGE_FILES}
     assert _private_words(texts) == []

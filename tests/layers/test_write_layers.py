@@ -134,6 +134,7 @@ def test_the_first_and_the_last_layer_of_300_mm_are_made_alone(model, tmp_path):
     assert names == ["layer_00000.png", "layer_11111.png"]
 
 
+@pytest.mark.whole
 def test_a_model_that_makes_no_boxes_is_refused():
     model = tb.method("texture", preset="fast").fit(tb.crop(tb.sample("bone"), 32))
     with pytest.raises(tb.errors.InputError, match="generate the volume"):

@@ -148,6 +148,7 @@ def test_independent_material_is_not_coherent():
     assert coherent_patches(sources(SCAN, other)).mean < 60
 
 
+@pytest.mark.whole
 def test_a_mirrored_copy_is_found_with_mirrors_alone():
     copy = SCAN[4:30, 30:4:-1, 5:31]
     assert coherence(SCAN, copy, k=(8,), samples=60)[8] < 0.1

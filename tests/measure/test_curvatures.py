@@ -151,6 +151,7 @@ def test_the_certificate_sees_shapes_that_sizes_do_not():
         assert metric.passed is passes and metric.value > 0
 
 
+@pytest.mark.whole
 def test_an_exemplar_whose_interface_is_at_its_faces_alone_is_judged_without_it():
     values = np.ones((48, 48, 48), np.uint8)
     values[0] = values[:, 0] = 0

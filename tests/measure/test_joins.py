@@ -56,6 +56,7 @@ def tree_cost(labels, cost, wraps):
     return total
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("wraps", [(False,) * 3, (True, False, True)])
 @pytest.mark.parametrize("seed", range(4))
 def test_the_joins_cost_what_a_spanning_tree_costs(seed, wraps):

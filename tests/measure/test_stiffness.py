@@ -149,6 +149,7 @@ def test_what_bears_load_wraps_around():
     assert not wrapping_voxels(np.concatenate([ring, np.zeros_like(ring)])).any()
 
 
+@pytest.mark.whole
 @settings(max_examples=15)
 @given(small, st.sampled_from([(1.0, 1.0, 1.0), (1.0, 2.0, 0.6)]))
 def test_equals_elimination_with_void(values, edges):

@@ -31,6 +31,7 @@ def porosities(members):
     return [member.request.target["porosity"] for member in members.members]
 
 
+@pytest.mark.whole
 def test_members_are_the_parts_of_volumes_with_the_porosities_that_are_drawn(model):
     members = draw_members(model, tb.Request(SIDE, seed=3), count=10)
     assert [member.seed for member in members.members] == list(range(3, 13))
@@ -192,6 +193,7 @@ def test_processes_change_no_voxel(tmp_path, model):
     assert [one.sha256 for one in alone.members] == [one.sha256 for one in beside.members]
 
 
+@pytest.mark.whole
 def test_the_command_makes_an_ensemble_whose_members_can_be_made_again(tmp_path):
     words = ["generate", "sample:bone", "--method", "texture", "--preset", "fast", "--crop", 32]
     words += ["--shape", 24, "--seed", 2, "--threads", 1]

@@ -20,6 +20,7 @@ def model():
     return tb.method("texture", preset="fast").fit(tb.crop(tb.sample("bone"), 48))
 
 
+@pytest.mark.whole
 def test_the_result_has_what_was_asked_for_and_its_recipe_makes_it_again(model, tmp_path):
     usual = measure_property(model.exemplars[0], "specific_surface")
     found = match_property(model, 48, {"specific_surface": 1.15 * usual}, seed=3)
@@ -34,6 +35,7 @@ def test_the_result_has_what_was_asked_for_and_its_recipe_makes_it_again(model, 
     assert tb.read(path).recipe == found.image.recipe
 
 
+@pytest.mark.whole
 def test_what_the_material_cannot_have_is_refused_with_the_range(model):
     with pytest.raises(
         RequestError, match=r"pore_size 3 um is outside .* have \d+\S* \.\. \d+"
@@ -99,6 +101,7 @@ def test_the_next_porosity_lies_where_results_bound_it():
     assert _crossing([(0.2, 0.0), (0.5, 1.0), (0.8, 4.0)], 2.0, near=0.0) == pytest.approx(0.65)
 
 
+@pytest.mark.whole
 def test_where_results_scatter_the_surface_of_the_nearest_is_moved(model, monkeypatch, tmp_path):
     make, seeds = type(model).generate, iter(range(20, 40))
 
@@ -123,6 +126,7 @@ def test_where_results_scatter_the_surface_of_the_nearest_is_moved(model, monkey
     assert step["report"]["property"]["moved"] == [list(one) for one in found.moved]
 
 
+@pytest.mark.whole
 def test_a_surface_moves_by_little(model, monkeypatch):
     usual = measure_property(model.exemplars[0], "specific_surface")
     monkeypatch.setattr(property_target, "MOST", 1)
@@ -150,6 +154,7 @@ def test_properties_are_those_of_the_descriptors():
     }
 
 
+@pytest.mark.whole
 def test_the_command_line(tmp_path):
     out = tmp_path / "x.tif"
     words = ["generate", "sample:bone", "--crop", "48", "--method", "texture", "--preset", "fast"]

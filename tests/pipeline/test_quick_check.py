@@ -17,6 +17,7 @@ def model():
     return tb.method("texture", preset="fast").fit(tb.crop(tb.sample("bone"), 64))
 
 
+@pytest.mark.whole
 def test_what_is_off_is_named_and_what_is_not_measured_is_silent(model, tmp_path):
     request = Request((64, 64, 64), seed=1)
     made = generate_to(model, request, tmp_path / "made.tif")

@@ -49,6 +49,7 @@ def samples(values) -> dict[str, CorrelatedSample]:
     return {name: CorrelatedSample.independent(each) for name, each in values.items()}
 
 
+@pytest.mark.whole
 def test_other_samples_of_the_material_pass(certificate):
     assert certificate.verdict == "pass" and not certificate.failed
     assert certificate.real["parts"] == 27 and not certificate.real["extrapolated"]
@@ -238,6 +239,7 @@ def test_real_material_fails_about_once_in_twenty_ensembles():
     assert 0.01 < failed / 200 < 0.1
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     "members, verdict",
     [

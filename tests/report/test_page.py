@@ -69,6 +69,7 @@ def test_page_is_one_self_contained_file(certificate, tmp_path):
     assert "<worse" not in html and "&lt;worse &amp; worse&gt;" in html
 
 
+@pytest.mark.whole
 def test_page_says_the_verdict_and_every_figure(certificate):
     html = certificate.to_html()
     assert certificate.passed is False and "FAIL" in html.split("<h2>")[0]

@@ -19,6 +19,7 @@ def certificate():
     return tb.verify(exemplar, made, names=["made.zarr"], level="quick", r_max=8)
 
 
+@pytest.mark.whole
 def test_the_face_names_exemplar_hash_date_version_method_and_settings(certificate):
     first, second, third = face(certificate, date="2031-05-06")
     digest = certificate.about["exemplar"]["recipe"][-1]["sha256"]

@@ -99,6 +99,7 @@ def test_small_sections_report_and_grey_ones_are_textures(sections, volume):
     assert FIGURE not in texture.metrics
 
 
+@pytest.mark.whole
 def test_sections_have_no_views_and_fit_each_other(sections, volume):
     with pytest.raises(InputError, match="stand for all planes"):
         verify(sections, volume, gap=GAP, views=["yx", "zx"])

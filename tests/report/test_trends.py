@@ -149,6 +149,7 @@ def test_commands_warn_in_one_line(tmp_path, capsys):
         assert expected == 0 or ("--crop" in said and "tb.fields.measure" in said)
 
 
+@pytest.mark.whole
 def test_a_certificate_says_which_trend_leaves_it_undecided():
     image = graded_in_size()
     found = tb.verify(image, image, level="quick")

@@ -67,6 +67,7 @@ def test_voxels_are_three_times_as_long_along_z_and_the_cylinder_is_still_round(
     assert found.radii.mean() == pytest.approx(6, abs=0.8)
 
 
+@pytest.mark.whole
 def test_noise_of_voxels_is_no_difference_between_fibres_and_two_sizes_are():
     draw = np.random.default_rng(2)
     cells = np.stack(np.indices((5, 5)), -1).reshape(-1, 2) * 14 + 8
@@ -178,6 +179,7 @@ def test_a_part_of_the_box_is_drawn_as_in_the_whole_with_a_fillet_too():
         np.testing.assert_array_equal(part, whole[:20, :9, :13])
 
 
+@pytest.mark.whole
 def test_what_is_laid_has_the_directions_shapes_and_fraction_of_the_felt(felt, model):
     made = model.generate(SIDE, seed=1)
     assert abs(int(made.values.sum()) - round(float(felt.values.mean()) * SIDE**3)) <= 1
@@ -198,6 +200,7 @@ def test_a_target_has_more_or_fewer_fibres_and_its_fraction(model):
     assert counts[0.8] > 1.5 * counts[0.9]
 
 
+@pytest.mark.whole
 def test_bends_are_tried_as_long_as_they_help(felt, monkeypatch):
     from trabecula.synth.fibres import method as module
     from trabecula.synth.shared.packed.trials import Packed
@@ -215,6 +218,7 @@ def test_bends_are_tried_as_long_as_they_help(felt, monkeypatch):
     assert found.bend == 0.1
 
 
+@pytest.mark.whole
 def test_what_is_no_fibre_is_refused_with_a_way_out(felt, model):
     with pytest.raises(InputError, match="no phase of the exemplar is of long fibres"):
         tb.method("fibres").fit(tb.sample("foam"))
@@ -227,6 +231,7 @@ def test_what_is_no_fibre_is_refused_with_a_way_out(felt, model):
             tb.method("fibres", **{name: value})
 
 
+@pytest.mark.whole
 def test_what_is_off_is_said(felt):
     told = []
     thick = tb.method("fibres", separation=0.0, fillet=3.0, bend=0.9).fit(felt)

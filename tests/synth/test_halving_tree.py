@@ -106,6 +106,7 @@ def test_the_search_finds_what_numpy_finds_in_the_leaf():
     assert moved > 10
 
 
+@pytest.mark.whole
 def test_a_search_by_leaves_is_nearer_than_one_by_sweeps_alone():
     """From random matches, on a field that the exemplar does not hold."""
     image = tb.crop(tb.sample("bone"), 48)

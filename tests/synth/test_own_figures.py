@@ -89,6 +89,7 @@ def test_a_run_names_what_is_off_and_records_all():
     assert "figures" not in replayed.recipe.steps[-1].get("report", {})
 
 
+@pytest.mark.whole
 def test_rods_that_became_rows_of_balls_differ_in_shape():
     z, y, x = np.mgrid[:96, :96, :96] % 16 - 7.5
     rods = (y**2 + x**2 < 5**2).astype(np.uint8)
@@ -110,6 +111,7 @@ def test_a_shape_that_the_exemplar_does_not_have_is_not_held_against_a_result():
     assert "shape index" not in figures_of(own, image)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("settings", "name", "told"),
     [

@@ -109,6 +109,7 @@ def test_bodies_of_a_scan_are_counted_and_sized(grid):
     assert not found.lie
 
 
+@pytest.mark.whole
 def test_bodies_that_a_face_cuts_count_as_whole_ones_of_their_size():
     """Large balls are cut more often: without them small ones would seem too frequent."""
     random, shares = np.random.default_rng(4), []
@@ -251,6 +252,7 @@ def test_trials_find_that_beads_touch_with_sharp_edges(beads):
     assert found.score < 2
 
 
+@pytest.mark.whole
 def test_an_exemplar_too_small_for_trials_has_touching_bodies_and_says_so(beads):
     told = []
     small = tb.Image(np.ascontiguousarray(beads.values[:30]), "labels")
@@ -260,6 +262,7 @@ def test_an_exemplar_too_small_for_trials_has_touching_bodies_and_says_so(beads)
     assert any("too small to try" in line for line in told)
 
 
+@pytest.mark.whole
 def test_what_is_packed_has_the_shapes_of_beads_and_their_fraction(beads):
     model = tb.method("packing", separation=1.0, fillet=0.0).fit(beads)
     assert model.label == 1
@@ -272,6 +275,7 @@ def test_what_is_packed_has_the_shapes_of_beads_and_their_fraction(beads):
     assert tb.measure.coherence(beads, made)[4] < 0.2
 
 
+@pytest.mark.whole
 def test_bubbles_are_packed_in_the_void(beads):
     swapped = tb.Image(1 - beads.values, "labels", phases=("void", "solid"))
     model = tb.method("packing", separation=1.0, fillet=0.0).fit(swapped)
@@ -280,6 +284,7 @@ def test_bubbles_are_packed_in_the_void(beads):
     assert (made.values == 0).mean() == pytest.approx((swapped.values == 0).mean(), abs=1e-4)
 
 
+@pytest.mark.whole
 def test_a_target_has_more_or_fewer_bodies_and_its_fraction_to_the_voxel(beads):
     model = tb.method("packing", separation=1.0, fillet=0.0).fit(beads)
     reports = {}
@@ -290,6 +295,7 @@ def test_a_target_has_more_or_fewer_bodies_and_its_fraction_to_the_voxel(beads):
     assert reports[0.45] > 1.3 * reports[0.6]
 
 
+@pytest.mark.whole
 def test_outside_a_mask_it_is_empty_and_inside_the_fraction_holds(beads):
     model = tb.method("packing", separation=1.0, fillet=0.0).fit(beads)
     mask = np.zeros((48, 48, 48), bool)
@@ -299,6 +305,7 @@ def test_outside_a_mask_it_is_empty_and_inside_the_fraction_holds(beads):
     assert made.values[mask].mean() == pytest.approx(beads.values.mean(), abs=1e-4)
 
 
+@pytest.mark.whole
 def test_what_is_no_packing_is_refused_with_a_way_out(beads):
     three = tb.Image(beads.values + (np.indices(beads.shape)[0] < 9) * 1, "labels")
     with pytest.raises(InputError, match="two phases"):
@@ -315,6 +322,7 @@ def test_what_is_no_packing_is_refused_with_a_way_out(beads):
         tb.method("packing").fit(tb.Image(rods.astype(np.uint8), "labels"))
 
 
+@pytest.mark.whole
 def test_a_period_shorter_than_a_body_is_refused(beads):
     model = tb.method("packing", separation=1.0, fillet=0.0).fit(beads)
     with pytest.raises(RequestError, match="wide, and axis z repeats after 8"):

@@ -70,6 +70,7 @@ def test_voxels_that_are_not_seen_bound_no_body():
     assert not seen.labels[unseen].any()
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("hole", [False, True])
 def test_bodies_that_the_joint_cuts_stand_where_they_were_drawn(scan, hole):
     places, image = scan
@@ -112,6 +113,7 @@ def test_discs_that_touch_in_one_slice_are_a_body_each():
     np.testing.assert_allclose(found.places[order], places, atol=1.5)
 
 
+@pytest.mark.whole
 def test_bodies_of_a_known_part_stand_alike_wherever_a_period_begins(scan):
     inside, known = scan[1].values > 0, np.zeros((SIDE,) * 3, bool)
     known[10:40] = True
@@ -216,6 +218,7 @@ def test_an_interface_meets_the_known_one_and_keeps_its_place_beyond():
     assert ends[-1] == 22
 
 
+@pytest.mark.whole
 def test_known_voxels_stay_and_the_free_ones_have_their_fraction(model, scan, extension):
     known, values = held(), scan[1].values
     np.testing.assert_array_equal(extension.values[known], values[known])
@@ -243,6 +246,7 @@ def test_beads_go_on_across_the_joint(model, scan, extension):
     assert np.median(size) == pytest.approx(6, abs=0.4)
 
 
+@pytest.mark.whole
 def test_threads_change_no_voxel_and_a_seed_does(model, scan, extension):
     with tb.threads(3):
         again = model.generate(SIDE, seed=1, fixed=scan[1], known=held())
@@ -251,6 +255,7 @@ def test_threads_change_no_voxel_and_a_seed_does(model, scan, extension):
     assert (other.values != extension.values)[HELD + 15 :].mean() > 0.2
 
 
+@pytest.mark.whole
 def test_beside_known_voxels_axes_repeat_without_a_seam(model, scan):
     known = np.zeros((SIDE,) * 3, bool)
     known[20:44, :30, 20:60] = True
@@ -263,6 +268,7 @@ def test_beside_known_voxels_axes_repeat_without_a_seam(model, scan):
         assert across / within == pytest.approx(1, abs=0.25)
 
 
+@pytest.mark.whole
 def test_a_mask_is_empty_outside_and_has_its_fraction_among_the_free(model, scan):
     mask = np.zeros((SIDE,) * 3, bool)
     mask[:, 10:60, 5:50] = True
@@ -273,6 +279,7 @@ def test_a_mask_is_empty_outside_and_has_its_fraction_among_the_free(model, scan
     assert made[mask & ~known].mean() == pytest.approx(model.fraction, abs=0.02)
 
 
+@pytest.mark.whole
 def test_a_target_is_met_by_the_whole_as_far_as_possible(model, scan):
     known = held()
     made = model.generate(SIDE, seed=1, fixed=scan[1], known=known, target={"porosity": 0.6})

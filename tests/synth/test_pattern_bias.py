@@ -70,6 +70,7 @@ def bias(exemplar):
     return PatternBias.learn([exemplar], 2, lambda given: smooth(3, given), width=SIDE)
 
 
+@pytest.mark.whole
 def test_material_that_it_never_saw_comes_nearer(bias):
     for seed in (11, 12):
         before, after = smooth(seed), smooth(seed, bias)

@@ -101,6 +101,7 @@ def plain_balls(phases, phase, radius, wraps, valid):
     return found, rooms
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("wraps", [False, True])
 @pytest.mark.parametrize(("count", "masked"), [(2, False), (2, True), (3, False)])
 def test_counts_are_those_of_plain_loops(count, masked, wraps):
@@ -192,6 +193,7 @@ def misfit(phases, patterns, **given):
     return np.abs(found.counts - wanted) @ bins.units
 
 
+@pytest.mark.whole
 def test_flips_bring_patterns_nearer_and_keep_fractions(smooth_and_target):
     phases, votes, patterns = smooth_and_target
     made, report = flip_voxels(phases, votes, patterns, FlipRegion(), seed=3, rounds=2, unit=UNIT)
@@ -226,6 +228,7 @@ def test_the_change_of_one_block_is_the_change_of_the_counts(monkeypatch):
         )
 
 
+@pytest.mark.whole
 def test_bodies_are_as_wide_as_the_exemplars_by_balls():
     """Of material whose bodies are a third too wide."""
     phases, votes = blobs(0, (60, 60, 60), sigma=4.0)
@@ -242,6 +245,7 @@ def test_bodies_are_as_wide_as_the_exemplars_by_balls():
     assert off[1] < 0.8 * off[0]
 
 
+@pytest.mark.whole
 def test_voxels_do_not_depend_on_threads(smooth_and_target):
     phases, votes, patterns = smooth_and_target
     made = []
@@ -304,6 +308,7 @@ def test_small_bodies_stay(side, every, balls):
         assert np.count_nonzero(small[0] != small[1]) < (1 if side <= BLOCK else 5)
 
 
+@pytest.mark.whole
 def test_what_votes_are_sure_of_changes_least():
     phases, votes = blobs(0, (60, 60, 60))
     patterns = learn(grainy(blobs(1, (60, 60, 60))[0], 2, 0.2))
@@ -351,6 +356,7 @@ def exemplar():
 
 
 class TestTexture:
+    @pytest.mark.whole
     def test_the_default_is_nearer_than_without(self, exemplar):
         found = {}
         for rounds in (0, 2):
@@ -372,6 +378,7 @@ class TestTexture:
         assert TextureConfig().interface_balls
         assert TextureConfig.recorded({})["interface_balls"] is False
 
+    @pytest.mark.whole
     def test_a_form_keeps_its_outside(self, exemplar):
         at = np.indices((72, 72, 72)) - 36
         ball = np.square(at).sum(axis=0) < 34**2
@@ -381,6 +388,7 @@ class TestTexture:
         assert share == pytest.approx(float(np.mean(exemplar.values)), abs=1e-4)
         assert "patterns" in made.recipe.steps[-1]["report"]
 
+    @pytest.mark.whole
     def test_a_target_has_the_patterns_of_its_fraction(self, exemplar):
         """Of one number, of a field, and none where the exemplar has no such place."""
         model = tb.method("texture").fit(exemplar)
@@ -449,6 +457,7 @@ def test_the_excess_of_cells_is_that_of_the_windows_around_them(endless):
     assert empty == 4
 
 
+@pytest.mark.whole
 def test_where_the_target_varies_windows_come_nearer_to_it():
     phases, votes = blobs(0, (80, 60, 60))
     patterns = learn(grainy(blobs(1, (60, 60, 60))[0], 2, 0.2))

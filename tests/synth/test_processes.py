@@ -70,6 +70,7 @@ def test_distances_are_those_of_plain_loops():
     np.testing.assert_allclose(square, (across**2).sum(axis=-1).min(axis=-1), atol=1e-4)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("side", "count"), [(12, 7), (44, 90)])
 def test_edges_and_plates_lie_where_bisecting_planes_do(side, count):
     """The nearest wall and the second nearest, by the distance to the plane half way to each other
@@ -121,6 +122,7 @@ def test_voxels_do_not_depend_on_threads():
         np.testing.assert_array_equal(first, second)
 
 
+@pytest.mark.whole
 def test_figures_in_correlation_lengths_do_not_depend_on_the_scale():
     """A picture and the same one twice as large; discs and holes differ in what they are named."""
     inside = picture_of("overlapping_spheres", length=12.0)

@@ -103,6 +103,7 @@ def test_three_phases_and_other_parts_are_refused(views):
         tb.Request(40, like=views[0].image)
 
 
+@pytest.mark.whole
 def test_a_relative_goes_with_a_porosity(views):
     found = adapt_relative(material((80, 80, 80), 4.0, 1, share=0.4), views, (0, 1))
     moved = found.at_fraction(0.2, (0, 1))
@@ -175,6 +176,7 @@ def test_chords_are_the_pictures_and_the_rest_the_relatives():
     np.testing.assert_allclose(alike[: own.bins.cubes].reshape(3, -1), np.stack([both] * 3))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("masked", [False, True])
 def test_patterns_come_nearer_to_the_relatives(masked):
     """To the densities that the model aims at, and nothing outside a mask is touched."""

@@ -55,6 +55,7 @@ def refused(folder, data):
     return message
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["noise", "texture"])
 def test_a_model_from_a_file_makes_the_same(name, tmp_path):
     settings = {

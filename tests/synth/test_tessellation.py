@@ -98,6 +98,7 @@ def test_moves_to_the_centroids_make_cells_rounder():
     assert surface(8) < 0.95 * surface(0)
 
 
+@pytest.mark.whole
 def test_boundaries_are_closed_and_have_the_pictures_fraction(model, made, picture):
     grains = model.grains((30, 33, 36), seed=3)
     interior = made.values == made.phases.index("void")
@@ -182,6 +183,7 @@ def test_the_certificate_judges_cells_of_slices(picture, made):
     assert wrong["cell_boundary_length"].passed is False
 
 
+@pytest.mark.whole
 def test_islands_and_open_walls_are_no_cells_to_judge_by():
     sample = tb.sample("bone")
     plain = tb.Image(sample.values[40], "labels", sample.spacing[1:], sample.unit, sample.phases)
@@ -229,6 +231,7 @@ def foam_model(foam):
     return tb.method("tessellation", volume_spread=0.3, lloyd_steps=1).fit(foam)
 
 
+@pytest.mark.whole
 def test_a_scan_gives_cells_of_its_sizes_with_closed_walls(foam, foam_model):
     made = foam_model.generate((60, 60, 60), seed=2)
     assert (made.spacing, made.unit) == (foam.spacing, "um")
@@ -264,6 +267,7 @@ def test_cells_of_a_stretched_scan_are_stretched(foam):
     assert y / z == pytest.approx(1, rel=0.1)
 
 
+@pytest.mark.whole
 def test_walls_are_as_thick_as_a_target_says(foam_model):
     made = foam_model.generate((40, 40, 60), seed=1, target={"porosity": 0.55})
     assert np.mean(made.values == 0) == pytest.approx(0.55, abs=1e-4)
@@ -278,6 +282,7 @@ def test_walls_are_as_thick_as_a_target_says(foam_model):
     assert np.mean(made.values[mask] == 0) == pytest.approx(ramp[mask].mean(), abs=1e-3)
 
 
+@pytest.mark.whole
 def test_a_target_of_walls_that_are_void(foam):
     swapped = tb.Image(1 - foam.values, "labels", phases=("void", "solid"))
     model = tb.method("tessellation", **FAST).fit(swapped)
@@ -300,6 +305,7 @@ def test_walls_thinner_than_a_voxel_are_refused(foam_model):
         foam_model.generate((40, 40, 40), seed=1, target={"porosity": most + 0.01})
 
 
+@pytest.mark.whole
 def test_a_target_is_refused_where_cells_are_of_several_phases(foam):
     labels, _ = label_components(foam.values == 0, connectivity=6)
     three = np.where(foam.values == 1, 1, np.where(labels % 3 == 0, 2, 0)).astype(np.uint8)
@@ -326,6 +332,7 @@ def test_closed_cells_are_known_by_their_even_walls(foam, swap):
     assert recommend(image, graded=["orientation"]).method == "quilt"
 
 
+@pytest.mark.whole
 def test_matrices_between_balls_and_open_cells_are_no_walls():
     at = np.stack(np.indices((64,) * 3), -1) % 16 - 7.5
     balls = np.linalg.norm(at, axis=-1) < 7.4

@@ -80,6 +80,7 @@ def two_point_error(image, exemplar):
     return np.linalg.norm(ours - own) / np.linalg.norm(own)
 
 
+@pytest.mark.whole
 def test_the_histogram_is_the_scans(grey, made):
     shares = [np.bincount(one.values.ravel(), minlength=256) for one in (grey, made)]
     ends = [np.cumsum(share) / share.sum() for share in shares]
@@ -167,6 +168,7 @@ def piece(image, shape=SHAPE, planes=16):
     return tb.Image(values, image.kind, image.spacing, image.unit), known
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("kind", ["grey", "colour"])
 def test_beside_fixed_voxels_grey_values_are_new(kind, request, grey):
     exemplar = request.getfixturevalue(kind)

@@ -353,6 +353,7 @@ def test_rounds_begin_on_a_coarser_level_where_there_is_room():
         assert novel_schedule.start_of([tb.crop(board, 64)], "rounds").level == 1
 
 
+@pytest.mark.whole
 def test_rounds_of_fine_structures_begin_with_narrow_neighbourhoods():
     """A wide one would hold several bodies, and copy them together."""
     for edge, width in [(4, 6), (12, 8)]:
@@ -365,6 +366,7 @@ def test_rounds_of_fine_structures_begin_with_narrow_neighbourhoods():
     assert model.aims[1].candidates[0].basis.width == 6
 
 
+@pytest.mark.whole
 def test_rounds_begin_with_noise():
     image = tb.crop(tb.sample("bone"), 40)
     model = tb.method("texture").fit(image)

@@ -50,6 +50,7 @@ def apart(jittered, power, euler):
     return np.abs(euler_densities([match_votes(grid.region, votes, grid.targets)]) - euler).sum()
 
 
+@pytest.mark.whole
 def test_euler_densities_are_those_of_the_measure_for_both_sides(bone_field):
     above, below = euler_densities([bone_field])
     inside = (bone_field[0] > 0).astype(np.uint8)

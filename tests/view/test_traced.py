@@ -116,6 +116,7 @@ def test_blocks_know_how_far_the_next_material_is():
     assert np.array_equal(skip.ravel(), np.minimum(expected, FURTHEST))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("material", "least"),
     [
@@ -136,6 +137,7 @@ def test_a_white_furnace_shows_no_difference_between_material_and_sky(material, 
     assert least < light[inside].mean() < 1.02
 
 
+@pytest.mark.whole
 def test_a_thick_translucent_body_has_its_albedo():
     block = np.ones((24, 24, 24), np.uint8)
     material = PhaseMaterial(albedo=(188, 188, 188), specular=0.0, scattering_depth=0.02)
@@ -144,6 +146,7 @@ def test_a_thick_translucent_body_has_its_albedo():
     assert light[inside].mean() == pytest.approx(float(to_linear(188)), rel=0.06)
 
 
+@pytest.mark.whole
 def test_a_matt_ball_has_the_light_of_lamberts_law():
     """Albedo times irradiance over pi times the cosine with the lamp, where that shines."""
     lamp = np.array([-0.75, -0.2, 0.6])
@@ -174,6 +177,7 @@ def test_a_matt_ball_has_the_light_of_lamberts_law():
     assert seen[dark].max() < 1e-6
 
 
+@pytest.mark.whole
 def test_the_same_picture_for_any_number_of_threads():
     pictures = []
     for count in (1, 3, 1):
@@ -183,6 +187,7 @@ def test_the_same_picture_for_any_number_of_threads():
     assert np.array_equal(pictures[0], pictures[1]) and np.array_equal(pictures[0], pictures[2])
 
 
+@pytest.mark.whole
 def test_more_paths_make_less_noise_and_the_filter_less_still():
     labels, noise, light = ball(24, 10.0), [], photograph.LIGHTS["window"]
     for samples in (4, 64):
@@ -204,6 +209,7 @@ def test_more_paths_make_less_noise_and_the_filter_less_still():
     assert noise[1] < noise[0] / 3
 
 
+@pytest.mark.whole
 def test_memory_is_at_most_four_times_the_volume():
     for side in (128, 192, 256, 512, 1024):
         held = photograph.forecast_traced((side,) * 3, (800, 600)).memory
@@ -231,6 +237,7 @@ def test_the_depth_below_the_outside_grows_inwards_and_ignores_small_pores():
     assert cut[24, 24, 0] > 15  # a face of the volume is no outside
 
 
+@pytest.mark.whole
 def test_a_small_part_of_a_box_fills_the_picture():
     box = np.zeros((60, 60, 60), np.uint8)
     box[5:15, 40:50, 20:30] = 1
@@ -240,6 +247,7 @@ def test_a_small_part_of_a_box_fills_the_picture():
     assert apart.mean() > 0.2
 
 
+@pytest.mark.whole
 def test_the_axis_that_points_up_is_up_in_both_kinds_of_stills():
     post = np.zeros((24, 24, 24), np.uint8)
     post[10:14, :, 10:14] = 1
@@ -254,6 +262,7 @@ def test_the_axis_that_points_up_is_up_in_both_kinds_of_stills():
         assert wide[rows[0] + 1] > 1.5 * wide[rows[0] + 14]
 
 
+@pytest.mark.whole
 def test_a_colour_volume_takes_its_own_colours_and_its_mask():
     values = np.zeros((20, 20, 20, 3), np.uint8)
     values[4:16, 4:16, 4:10], values[4:16, 4:16, 10:16] = (200, 30, 30), (30, 30, 200)
@@ -279,6 +288,7 @@ def test_a_colour_volume_takes_its_own_colours_and_its_mask():
     assert np.array_equal(drawn.values, given.values)
 
 
+@pytest.mark.whole
 def test_black_inside_a_coloured_form_stays():
     values = np.zeros((12, 12, 12, 3), np.uint8)
     values[2:10, 2:10, 2:10] = 200
@@ -299,6 +309,7 @@ def lamp_light(direction, width, irradiance):
     return light
 
 
+@pytest.mark.whole
 def test_every_path_to_the_lamp_brings_the_same_light():
     """A thick translucent block shows the same light as a matt one: albedo times irradiance over
     pi; and the lamp that is asked brings what a sky of the same radiance would.
@@ -316,6 +327,7 @@ def test_every_path_to_the_lamp_brings_the_same_light():
     assert seen[1] == pytest.approx(seen[0], rel=0.1)
 
 
+@pytest.mark.whole
 def test_clear_material_mirrors_and_bends_light():
     """A clear plate in a sky that is bright above alone: seen from above at a slant it shows
     Fresnel's share of it, and what is below through it.
@@ -409,6 +421,7 @@ def test_a_look_of_ones_own_comes_from_a_file(tmp_path):
     assert plain_look(path).solid == (230, 190, 110)
 
 
+@pytest.mark.whole
 def test_every_look_can_be_drawn_quick_and_traced():
     for name in TRACED:
         assert plain_look(name).solid != (0, 0, 0)
@@ -423,6 +436,7 @@ def test_the_film_keeps_order_and_black():
     assert develop(light[20:21], 1.0).mean() > develop(light[20:21], 0.0).mean()
 
 
+@pytest.mark.whole
 def test_a_lens_blurs_what_is_not_in_focus():
     still = {}
     for focus in (0.0, 1.0):

@@ -17,6 +17,7 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.chunking import Box, boxes_of, slices_of
 from trabecula.engine.compile import kernel
+from trabecula.engine.rows import copy_row
 from trabecula.measure.runs import Runs
 
 SIDE = 128
@@ -155,11 +156,8 @@ def _shortest_path(state, reach):
                 path = np.empty((length + 1, 3), np.int64)
                 k = head
                 for row in range(length, -1, -1):
-                    path[row] = (
-                        queue[k] // (height * width),
-                        queue[k] // width % height,
-                        queue[k] % width,
-                    )
+                    at = queue[k]
+                    copy_row(path[row], (at // (height * width), at // width % height, at % width))
                     k = origin[k]
                 return path
             if flat[other] == _OPEN:

@@ -153,7 +153,8 @@ def _average_rows(values, first, weights, result):
             for tap in range(weights.shape[1]):
                 at = first[y] + tap
                 if 0 <= at < values.shape[1] and weights[y, tap] > 0:
-                    result[p, y, :] += weights[y, tap] * values[p, at, :]
+                    for x in range(values.shape[2]):
+                        result[p, y, x] += weights[y, tap] * values[p, at, x]
 
 
 @kernel

@@ -24,6 +24,7 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import in_order, sum_slabs
+from trabecula.engine.rows import copy_row
 from trabecula.measure.neighbours import place_along
 from trabecula.measure.runs import Runs
 from trabecula.measure.union_find import root_of
@@ -327,7 +328,7 @@ def _descend(nearest, voxel):
     """Follow the distance down from `voxel` to its component; return the voxels (n, 3)."""
     owner, far, cost, wraps = nearest
     path = np.empty((np.int64(far[voxel[0], voxel[1], voxel[2]]) + 1, 3), np.int64)
-    path[0] = voxel
+    copy_row(path[0], voxel)
     n = 0
     while True:
         z, y, x = path[n]

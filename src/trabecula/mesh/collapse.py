@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
+from trabecula.engine.rows import copy_row
 from trabecula.mesh.triangle_grid import (
     TriangleGrid,
     is_within,
@@ -452,8 +453,8 @@ def _replace_edge(surface, lists, star, i, j, counts):
         surface.first[f] = v
     surface.faces[star.faces[0], :] = -1
     surface.faces[star.faces[1], :] = -1
-    surface.positions[i] = star.place
-    surface.quadrics[i] = star.quadric
+    copy_row(surface.positions[i], star.place)
+    copy_row(surface.quadrics[i], star.quadric)
     start = lists.written[0]
     lists.begin[i], lists.size[i] = start, count
     for n in range(count):

@@ -17,6 +17,7 @@ def form():
     return np.linalg.norm((np.indices((SIDE,) * 3) - (SIDE - 1) / 2) / (SIDE / 2), axis=0) < 1
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("step", [1, 4])
 @pytest.mark.parametrize(
     "settings",

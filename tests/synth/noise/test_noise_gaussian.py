@@ -278,6 +278,7 @@ def test_a_flat_image_makes_flat_images():
         )
 
 
+@pytest.mark.whole
 def test_bone_has_the_fraction_and_the_two_point_function_and_is_broken(bone):
     exemplar = tb.crop(bone, 64)
     made = tb.method("noise", exact=True).fit(exemplar).generate(64, seed=1)

@@ -104,6 +104,7 @@ def test_all_neighbourhoods_with_their_own_fields_give_the_section_again(section
     assert same > 0.75 > np.mean(free.values == section.values)
 
 
+@pytest.mark.whole
 def test_repair_keeps_what_was_measured_and_continues_it():
     bone = tb.crop(tb.sample("bone"), 56)
     known = np.ones(bone.shape, bool)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
+from trabecula.engine.rows import copy_row
 from trabecula.numerics.bits import count_bits
 
 FAR = np.int32(1 << 30)
@@ -145,7 +146,7 @@ def grow_tree(features, order, spare, nodes, low, high, leaf):
                     else:
                         spare[kept] = order[n]
                         kept += 1
-                order[to:b] = spare[:kept]
+                copy_row(order[to:b], spare)
                 nodes[at, 2], nodes[at, 3] = count, count + 1
                 nodes[count, 0], nodes[count, 1] = a, to
                 nodes[count + 1, 0], nodes[count + 1, 1] = to, b

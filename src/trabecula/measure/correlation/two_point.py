@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from trabecula.core.image import Image
 from trabecula.engine.compile import kernel
+from trabecula.engine.rows import copy_row
 from trabecula.measure.correlation.fourier import count_mirror_pairs
 from trabecula.measure.correlation.pair_geometry import (
     Radial,
@@ -294,7 +295,7 @@ def _voxels(labels, chosen, first):
             for x in range(labels.shape[2]):
                 label = labels[z, y, x]
                 if chosen[label]:
-                    voxels[ends[label - 1]] = z, y, x
+                    copy_row(voxels[ends[label - 1]], (z, y, x))
                     ends[label - 1] += 1
     return voxels
 

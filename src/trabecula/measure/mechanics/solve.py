@@ -20,6 +20,7 @@ import numpy as np
 
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
+from trabecula.engine.rows import add_row, copy_row
 from trabecula.measure.mechanics.lattice import (
     LEAST,
     LOADS,
@@ -355,10 +356,13 @@ def _fill(chosen, nodes, kind, matrices, begin, entry, first, neighbour, start, 
         for i in range(begin[n], begin[n + 1]):
             cell, a = entry[i] // 8, entry[i] % 8
             for b in range(8):
-                blocks[slot[nodes[cell, b]]] += matrices[kind[cell], a, b]
+                for i in range(3):
+                    add_row(blocks[slot[nodes[cell, b]], i], matrices[kind[cell], a, b, i])
         for k in range(width):
-            values[start[row] + k] = blocks[k]
-        diagonal[row] = blocks[slot[n]]
+            for i in range(3):
+                copy_row(values[start[row] + k, i], blocks[k, i])
+        for i in range(3):
+            copy_row(diagonal[row, i], blocks[slot[n], i])
 
 
 @kernel

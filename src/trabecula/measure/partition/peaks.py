@@ -17,6 +17,7 @@ import numpy as np
 
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
+from trabecula.engine.rows import copy_row
 from trabecula.measure.labelling import label_components
 from trabecula.measure.neighbours import voxel_at
 from trabecula.measure.smooth import gaussian, reach_of
@@ -175,7 +176,7 @@ def _climb(distance, around, wraps, places, starts, seen):
                     marked[other] = own
                     if count == len(stack):
                         more = np.empty(min(2 * len(stack), size), np.int64)
-                        more[:count] = stack
+                        copy_row(more[:count], stack)
                         stack = more
                     stack[count] = other
                     count += 1

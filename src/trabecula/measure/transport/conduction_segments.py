@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
+from trabecula.engine.rows import copy_row
 from trabecula.measure.transport.segments import continues, number_voxels, slot_at
 
 COLUMNS = 6
@@ -145,7 +146,7 @@ def find_segments(labels, kinds, slot, zero, segments, table_size):
                     at = total if fill else 0
                     total += 1
                     beside, first = key, before
-                    table[at] = found
+                    copy_row(table[at], found)
                     table[at, 1] = 1
                     place[at, 0], place[at, 1], place[at, 2] = z, y, x
     used = np.zeros(count, np.int64)

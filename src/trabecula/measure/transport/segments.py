@@ -25,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
+from trabecula.engine.rows import copy_row
 
 FACE_COLUMNS, CELL_COLUMNS = 8, 11
 
@@ -211,7 +212,7 @@ def find_face_segments(cells, slot, axis, pull, zero, zero_cell, segments):
                     continue
                 at = total if fill else 0
                 total += 1
-                table[at] = found
+                copy_row(table[at], found)
                 table[at, 1] = 1
                 fresh, last = False, own
                 diagonal[at] = own
@@ -267,7 +268,7 @@ def find_cell_segments(cells, along_z, along_y, along_x, zero, zeros, segments):
                 at = total if fill else 0
                 total += 1
                 fresh = False
-                table[at] = found
+                copy_row(table[at], found)
                 table[at, 1] = 1
                 place[at, 0], place[at, 1], place[at, 2] = z, y, x
     return table, place, total

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
+from trabecula.engine.rows import copy_row
 from trabecula.mesh.tetrahedra.quality import cosines
 
 _LONG, _SHORT = 0.24999, 0.41189  # of an edge: a cut nearer to its end moves the end
@@ -139,7 +140,7 @@ def _move(points, planes, fixed, level, pairs, along, cells, around, start):
             points[a, axis] += along[n] * (points[b, axis] - points[a, axis])
         for m in range(start[a], start[a + 1]):
             if cosines(points, cells[around[m]], normals)[0] > _FLAT:
-                points[a] = before
+                copy_row(points[a], before)
                 break
 
 
@@ -183,7 +184,7 @@ def _split(cells, level, keys, count, new, whole, side):
                         place -= 1
                     found[place] = at
                     crossed += 1
-        parts[0] = cells[n]
+        copy_row(parts[0], cells[n])
         size = 1
         for k in range(crossed):
             key = keys[found[k]]
@@ -196,7 +197,7 @@ def _split(cells, level, keys, count, new, whole, side):
                     elif parts[m, a] == high:
                         second = a
                 if first >= 0 and second >= 0:
-                    parts[size] = parts[m]
+                    copy_row(parts[size], parts[m])
                     parts[m, second] = count + found[k]
                     parts[size, first] = count + found[k]
                     size += 1

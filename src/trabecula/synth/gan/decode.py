@@ -35,6 +35,7 @@ from trabecula.engine.blocks import Box
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.gaussian_random import normal_cells, quantiles
 from trabecula.engine.parallel import for_slabs, thread_count
+from trabecula.engine.rows import copy_row
 from trabecula.synth.gan.local_fractions import LocalFractions
 from trabecula.synth.shared.patterns.kernels import MARGIN
 
@@ -146,13 +147,13 @@ def _gather(labels, z, y, x, edge, voxels):
     0 where it starts before, is larger than `edge` or touches the border.
     """
     low, high = np.array([z, y, x]), np.array([z, y, x])
-    voxels[0] = low
+    copy_row(voxels[0], low)
     count, at = 1, 0
     here = np.empty(3, np.int64)
     while at < count:
         for side in range(6):
             axis = side >> 1
-            here[:] = voxels[at]
+            copy_row(here, voxels[at])
             here[axis] += 1 if side & 1 else -1
             if here[axis] < 0 or here[axis] == labels.shape[axis]:
                 return 0
@@ -173,7 +174,7 @@ def _gather(labels, z, y, x, edge, voxels):
             high[axis] = max(high[axis], here[axis])
             if high[axis] - low[axis] >= edge:
                 return 0
-            voxels[count] = here
+            copy_row(voxels[count], here)
             count += 1
         at += 1
     return count

@@ -13,6 +13,7 @@ import numpy as np
 from trabecula.core.seeds import generator
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
+from trabecula.engine.rows import copy_row
 
 _STEPS = 120  # of points that push each other apart
 _NEAR = 1.08  # mean distances between points, below which they do
@@ -243,7 +244,7 @@ def place_spheres(tries, radii, gap, side, points):
                     free = False
                     break
             if free:
-                points[i] = tries[i, t]
+                copy_row(points[i], tries[i, t])
                 placed[i] = True
                 break
     return placed

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
+from trabecula.engine.rows import copy_row
 from trabecula.numerics.bits import count_bits
 
 UNIT = 1 << 16
@@ -181,7 +182,7 @@ def _minimum(row, low):
     itself.
     """
     lanes = len(low)
-    low[:] = row[:lanes]
+    copy_row(low, row)
     for first in range(lanes, len(row), lanes):
         for j in range(lanes):
             value = row[first + j]

@@ -18,6 +18,7 @@ import numpy as np
 
 from trabecula.core.seeds import key
 from trabecula.engine.compile import inline, kernel
+from trabecula.engine.rows import copy_row
 from trabecula.synth.noise.config import NoiseConfig
 from trabecula.synth.noise.lattice import CELL, Axis, Points, VoxelGrid, points_of, shortest
 
@@ -162,7 +163,7 @@ def _planes(lines, near, count, pz, py, first, last, edges, most):
         limit = (second if edges else best) + 1.0
     kept = 0
     for j in range(found):
-        lines[kept] = lines[j]
+        copy_row(lines[kept], lines[j])
         kept += lines[j, 3] <= limit
     return kept
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.random import below, philox
+from trabecula.engine.rows import copy_row
 from trabecula.synth.shared.matching.halving_tree import find_leaf
 
 
@@ -213,7 +214,7 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
                             known += 1
                 moved = known
                 for k in range(tries):
-                    drawn[k] = philox(key, z, y, x, (number << 8) + k)
+                    copy_row(drawn[k], philox(key, z, y, x, (number << 8) + k))
                     cells[known] = below(drawn[k, 0], count)
                     known += 1
                 for n in range(known):

@@ -16,6 +16,7 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
+from trabecula.engine.rows import add_row
 from trabecula.synth.shared.content.fields import FULL
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, targets_of
@@ -193,12 +194,16 @@ def add_votes(total, start, values, match, weight, layout):
         for z in range(depth):
             m, w = match[start + z], weight[start + z]
             _vote_rows(values, m, w, layout, 0, planes[0])
-            total[:, z] += planes[0, :, :, :across]
+            for c in range(C):
+                for y in range(height):
+                    add_row(total[c, z, y], planes[0, c, y])
     elif axis == 1:
         for y in range(height):
             m, w = match[y], weight[y]
             _vote_rows(values, m, w, layout, start, planes[0])
-            total[:, :, y] += planes[0, :, :, :across]
+            for c in range(C):
+                for z in range(depth):
+                    add_row(total[c, z, y], planes[0, c, z])
     else:
         for first in range(0, across, together):
             count = min(together, across - first)
@@ -252,7 +257,9 @@ def _vote_rows(values, match, weight, layout, start, plane):
                         for x in range(width):
                             to[x] += weights[x] * np.int32(row[x])
     for x in range(sides[2], plane.shape[2] if wraps[2] else 0):
-        plane[:, :, x - sides[2]] += plane[:, :, x]
+        for c in range(C):
+            for y in range(plane.shape[1]):
+                plane[c, y, x - sides[2]] += plane[c, y, x]
 
 
 @kernel

@@ -41,7 +41,7 @@ from trabecula.synth.shared.slabs import tally_by_slabs
 _BANDS, _BLOCKS = 6, 8  # bands of a target that varies, at most, and blocks of each, at least
 _EVERYWHERE = np.empty((0, 0, 0), bool)
 _VOTES = 1 << 15
-LOCAL = 15
+LOCAL = 16
 """Bytes of a voxel of a local array."""
 _SUMS = 2  # more, for balls
 
@@ -193,7 +193,6 @@ def _round(
     changes = [None if band is None else np.zeros(len(band.off), np.int64) for band in bands]
     counts = np.zeros(len(blocks), np.int64)
     free, valid = place.free, place.valid
-    moving = _EVERYWHERE if free is None else free
     votes, level, effort, stage = given
     excess = None
     if place.fractions is not None:
@@ -217,13 +216,13 @@ def _round(
         counts[n] = flip_block(
             local,
             band.bins.phases,
-            moving,
-            np.array([first for first, _ in box]),
-            votes,
+            _EVERYWHERE if free is None else np.ascontiguousarray(free[inside]),
+            np.ascontiguousarray(votes[(slice(None), *inside)]),
             level,
             effort,
             stage,
             n,
+            band.bins.balls,
             slopes,
             euler,
             euler_off,

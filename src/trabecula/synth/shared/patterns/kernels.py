@@ -10,6 +10,7 @@ import numpy as np
 
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.random import below, philox
+from trabecula.engine.rows import add_row
 from trabecula.measure.neighbours import place_along
 from trabecula.synth.shared.patterns.balls import (
     FRACTIONS,
@@ -173,12 +174,12 @@ def flip_block(
     local,
     phases,
     free,
-    corner,
     votes,
     level,
     effort,
     key,
     number,
+    balls,
     slopes,
     euler,
     euler_misfit,
@@ -193,15 +194,15 @@ def flip_block(
 
     `slopes` (bins, 2) hold twice the misfit times its weight, and the weight, of the block's share,
     as what follows does of Euler numbers. They and the local array follow, and `change` (bins,) of
-    the counts. A change costs `effort` for every unit by which the votes (C, Z, Y, X) of the
-    volume, whose first voxel here is `corner`, lie on its phase's side of `level`. `steps` (26,)
-    lead from a place in the local array to its neighbours, faces first.
+    the counts. A change costs `effort` for every unit by which the votes (C, z, y, x) of the block
+    lie on its phase's side of `level`; where `free` (z, y, x) has entries, others stay. `steps`
+    (26,) lead from a place in the local array to its neighbours, faces first. Bins from `balls` on
+    are of balls.
     """
     spots = _interface(local)
     _shuffle(spots, key, number)
     powers = phases ** np.arange(8)
     codes = _all_neighbours(local)
-    balls = 3 * phases * CHORDS + len(STRIDES) * powers[7] * phases + phases * NEIGHBOURS
     if len(slopes) > balls:
         fills = fill_balls(local, MARGIN, phases)
     else:
@@ -220,7 +221,7 @@ def flip_block(
     for n in range(len(spots)):
         spot = spots[n]
         z, y, x = spot // (height * width), spot // width % height, spot % width
-        at_z, at_y, at_x = z - MARGIN + corner[0], y - MARGIN + corner[1], x - MARGIN + corner[2]
+        at_z, at_y, at_x = z - MARGIN, y - MARGIN, x - MARGIN
         if free.size and not free[at_z, at_y, at_x]:
             continue
         own = local[z, y, x]
@@ -265,7 +266,7 @@ def flip_block(
     for z in range(gained.shape[0]):
         for y in range(gained.shape[1]):
             for x in range(gained.shape[2]):
-                whole[0, 0, 0] += gained[z, y, x]
+                add_row(whole[0, 0, 0], gained[z, y, x])
     return left - _undo(given, whole, local.size)
 
 
