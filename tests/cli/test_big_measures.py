@@ -30,6 +30,7 @@ def test_a_volume_that_does_not_fit_is_measured_in_slabs(foam):
     assert not trabecula("measure", foam, "--quick").lines
 
 
+@pytest.mark.whole
 def test_what_is_left_out_is_named(foam):
     found = json.loads(trabecula("measure", foam, "--json", "--memory", 0.002).out)
     assert found["anisotropy"] is None and any("anisotropy" in note for note in found["notes"])

@@ -104,6 +104,7 @@ def rows_of(path):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.whole
 def test_figures_as_a_table_have_values_and_units(here):
     found = json.loads(
         trabecula("measure", "sample:bone", "--crop", 24, "--quick", "--csv", "m.csv", "--json").out

@@ -122,11 +122,13 @@ def test_a_method_that_cannot_learn_is_left_out_with_a_line(bone, monkeypatch):
     assert any("kopf is not tried" in line for line in told)
 
 
+@pytest.mark.whole
 def test_effort_1_tries_nothing(bone):
     asked = tb.method("texture")
     assert tb.choose_settings(asked, bone, effort=1) == (asked, ())
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("method", "settings", "effort", "said"),
     [

@@ -139,6 +139,7 @@ def test_every_kind_is_what_its_function_makes(place):
         ] == list(expected.shape)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("words", "says"),
     [

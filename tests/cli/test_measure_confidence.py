@@ -22,6 +22,7 @@ def scan(tmp_path, monkeypatch):
     return image
 
 
+@pytest.mark.whole
 def test_json_and_table(scan):
     plain = json.loads(trabecula("measure", "scan.zarr", "--quick", "--json").out)
     found = json.loads(trabecula("measure", "scan.zarr", "--quick", "--confidence", "--json").out)

@@ -11,6 +11,7 @@ from trabecula.engine.multiscale import shapes_of
 SIDES = st.lists(st.integers(1, 40), min_size=2, max_size=3)
 
 
+@pytest.mark.whole
 @given(SIDES, st.integers(1, 3), st.sampled_from([3, 4, 8]))
 def test_all_is_made_once_and_in_an_order_that_works(shape, blocks, chunk):
     shapes = shapes_of(shape, 2 * chunk)

@@ -79,6 +79,7 @@ def test_what_agrees_or_has_other_units_or_long_pixels_is_left_alone():
             assert one is other
 
 
+@pytest.mark.whole
 def test_methods_make_the_same_of_a_finer_picture_and_its_average():
     coarse = [blobs(48, 2.5, seed) for seed in (4, 5, 6)]
     given = [picture(values, 1.0) for values in coarse]

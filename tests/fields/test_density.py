@@ -93,6 +93,7 @@ def test_a_picture_and_the_void():
     assert (plain.values == 0.5).all()
 
 
+@pytest.mark.whole
 def test_too_short_an_exemplar_is_refused_with_what_would_do():
     exemplar = tb.crop(uneven(0), (30, 64, 64))
     with pytest.raises(InputError, match=r"2\.5 along z windows of 12 .* a window of 8 voxels"):

@@ -38,6 +38,7 @@ OPERATIONS = {
 }
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", OPERATIONS)
 @pytest.mark.parametrize("axes", [(True, True, True), (False, True, False)])
 @pytest.mark.parametrize("masked", [False, True])
@@ -101,6 +102,7 @@ def test_the_shortest_join_runs_across_a_face():
     assert report(connect(two, periodic=True, reach=5))["joins"] == 1
 
 
+@pytest.mark.whole
 @settings(max_examples=30)
 @given(
     st.integers(0, 10_000),

@@ -68,6 +68,7 @@ def test_docstrings_begin_with_an_imperative():
     assert 1 - figure.share >= IMPERATIVE, "\n".join(figure.places)
 
 
+@pytest.mark.whole
 def test_docstrings_begin_with_no_relative_clause():
     figure = figures.relative_clauses(PACKAGE_FILES)
     assert figure.share <= RELATIVE, "\n".join(figure.places)

@@ -53,6 +53,7 @@ def test_ratios_are_linear_in_small_changes():
     assert chord.field[:, :119].mean() == pytest.approx(moved, abs=0.2 * abs(moved) + 1e-3)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["porosity", "specific_surface", "euler_density", "chord_length"])
 def test_coverage_of_pictures(name):
     large = foam(3, (1280, 1280), width=3.0, level=0.5)

@@ -65,6 +65,7 @@ def test_divergence_of_known_histograms():
             kullback_leibler([1, 1], wrong)
 
 
+@pytest.mark.whole
 @given(counts, counts)
 def test_divergence_is_positive_and_zero_of_itself(p, q):
     assert kullback_leibler(p, 3 * p) == pytest.approx(0, abs=1e-12)

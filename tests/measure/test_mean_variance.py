@@ -44,6 +44,7 @@ def test_independent_voxels_vary_by_their_number(shape):
     assert found == pytest.approx(0.3 * 0.7 / 20 ** len(shape), rel=0.25)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("shape", "length", "crop"),
     [((128, 128, 128), 2.0, (32, 32, 32)), ((768, 768), 3.0, (96, 96))],
@@ -151,6 +152,7 @@ def test_degrees_of_freedom_are_those_of_the_variance():
     assert found.std() / found.mean() == pytest.approx(math.sqrt(2 / freedom), rel=0.3)
 
 
+@pytest.mark.whole
 def test_a_short_image_is_known_as_short():
     long = SpatialCovariance.of([_gaussian((96, 96, 96), 3.0, 10)])
     short = SpatialCovariance.of([_gaussian((96, 96, 96), 12.0, 10)])

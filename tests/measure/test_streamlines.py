@@ -20,6 +20,7 @@ def test_lines_in_a_slit_are_straight_and_as_fast_as_the_parabola():
         assert line[:, 3] == pytest.approx((row * (8 - row) + 0.25) / 11, rel=1e-3)
 
 
+@pytest.mark.whole
 def test_lines_stay_in_the_pores_and_go_from_face_to_face():
     image = tb.crop(tb.sample("bone"), 20)
     lines = streamlines(image, axis=1, count=25, phase="void")

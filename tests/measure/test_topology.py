@@ -26,6 +26,7 @@ def roll(inside, shift):
     return np.roll(inside, shift, axis=tuple(range(inside.ndim)))
 
 
+@pytest.mark.whole
 @given(volumes)
 def test_18_neighbours_cut_what_meets_in_a_vertex_only(inside):
     # Count the vertices at which exactly two voxels, opposite each other, meet.

@@ -41,6 +41,7 @@ def test_voxels_need_not_be_cubes():
     assert np.allclose(np.median(lattice.vertices, axis=0), 20.5, atol=1.5)
 
 
+@pytest.mark.whole
 def test_a_foam_keeps_its_volume_and_its_connection():
     foam = tb.crop(tb.sample("foam"), 48)
     found = compare_beams(foam, beam_lattice(foam))

@@ -8,6 +8,8 @@ from trabecula.mesh.check import check
 from trabecula.mesh.decimate import decimate, surface_distance
 from trabecula.mesh.triangle_grid import distances_to, triangle_grid
 
+pytestmark = pytest.mark.whole  # to compile what removes edges takes ten seconds
+
 
 def euler(mesh):
     return len(mesh.vertices) - len(mesh.faces) // 2
@@ -28,7 +30,6 @@ def pair():
     return surface, decimate(surface, 0.5)
 
 
-@pytest.mark.whole
 def test_a_foam_keeps_its_topology_and_its_place(pair):
     surface, fewer = pair
     before, after = check(surface), check(fewer)
@@ -49,7 +50,6 @@ def test_a_tighter_tolerance_keeps_more(pair):
     assert max(off.there, off.back) < 0.22
 
 
-@pytest.mark.whole
 def test_flat_faces_take_few_triangles():
     block = tb.mesh(np.ones((12, 20, 30), np.uint8), smooth=0)
     fewer = decimate(block, 0.3)
@@ -71,7 +71,6 @@ def test_a_ball_stays_round():
     assert radii.std() < 0.3 and len(fewer.faces) < len(surface.faces) / 8
 
 
-@pytest.mark.whole
 def test_it_comes_out_alike_again(pair):
     again = decimate(pair[0], 0.5)
     assert (again.vertices == pair[1].vertices).all() and (again.faces == pair[1].faces).all()
@@ -84,7 +83,6 @@ def test_the_smallest_solids_stay():
     assert check(fewer).watertight and len(fewer.faces) >= 4
 
 
-@pytest.mark.whole
 def test_the_scale_does_not_matter():
     surface = foam(24)
     large = tb.mesh(tb.Image(tb.crop(tb.sample("foam"), 24).values, "labels", (32.0,) * 3))
@@ -92,7 +90,6 @@ def test_the_scale_does_not_matter():
     assert (one.faces == other.faces).all()
 
 
-@pytest.mark.whole
 def test_distances_are_those_of_all_triangles():
     surface = ball(5)
     points = np.random.default_rng(0).uniform(-4, 18, (200, 3))

@@ -49,6 +49,7 @@ def test_members_are_the_parts_of_volumes_with_the_porosities_that_are_drawn(mod
     np.testing.assert_array_equal(first.values, made[0].values)
 
 
+@pytest.mark.whole
 def test_members_by_themselves_have_porosities_of_their_own_and_spread_0_the_exemplars(model):
     members = draw_members(model, tb.Request(SIDE, seed=3), count=4, alone=True)
     asked = porosities(members)

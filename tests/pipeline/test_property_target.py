@@ -44,6 +44,7 @@ def test_what_the_material_cannot_have_is_refused_with_the_range(model):
     assert "\n" not in str(it.value)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("asked", "error", "words"),
     [
@@ -61,6 +62,7 @@ def test_what_is_no_property_is_refused(model, asked, error, words):
         match_property(model, 48, asked)
 
 
+@pytest.mark.whole
 def test_requests_and_methods_that_cannot_are_refused(model, monkeypatch):
     with pytest.raises(RequestError, match="a property beside target"):
         match_property(model, Request(48, target={"porosity": 0.8}), {"pore_size": 600.0})

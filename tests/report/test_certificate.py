@@ -125,6 +125,7 @@ def test_distances_are_what_they_say(exemplar):
         assert metrics[name].value == numbers[name]
 
 
+@pytest.mark.whole
 def test_anisotropy_that_a_radial_mean_cannot_see_fails_along_an_axis():
     stretched = np.repeat(field(4, (32, 96, 96)), 3, axis=0)
     certificate = verify(stretched, np.moveaxis(stretched, 0, 2).copy(), r_max=15, level="quick")

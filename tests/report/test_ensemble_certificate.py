@@ -73,6 +73,7 @@ def test_members_cut_from_the_exemplar_are_called_copies():
     assert found.copying.among <= found.copying.limit
 
 
+@pytest.mark.whole
 def test_figures_are_those_of_the_measures(scan, members):
     found = tb.verify_ensemble(scan, members, level="quick").metrics
     for name in ("porosity", "specific_surface", "chord_length", "euler_density"):
@@ -84,6 +85,7 @@ def test_figures_are_those_of_the_measures(scan, members):
     assert found["porosity"].real[::9] == pytest.approx([1 - part.mean() for part in parts])
 
 
+@pytest.mark.whole
 def test_a_member_repeated_is_a_collapsed_ensemble(scan, members):
     found = tb.verify_ensemble(scan, [members[0]] * 8, level="quick")
     assert found.passed is False and "repeat" in found.copying.faults[0]
@@ -107,6 +109,7 @@ def test_members_of_one_porosity_have_too_small_a_spread_of_it(scan, members):
     assert found.copying.closest > 0.8, "no member is another"
 
 
+@pytest.mark.whole
 def test_a_shifted_mean_fails(scan):
     denser = [material(200 + n, 24, share=0.33) for n in range(16)]
     found = tb.verify_ensemble(scan, denser, level="quick")
@@ -275,6 +278,7 @@ def test_one_value_in_members_and_parts_is_a_pass_and_parts_of_one_value_judge_n
         assert found.verdict == verdict and found.ratio is None
 
 
+@pytest.mark.whole
 def test_json_is_plain_and_holds_every_figure(certificate):
     plain = json.loads(json.dumps(certificate.to_json(), allow_nan=False))["ensemble"]
     assert plain["members"] == 16 and plain["shape"] == [24, 24, 24]

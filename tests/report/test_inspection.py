@@ -107,6 +107,7 @@ def test_a_hollow_is_found_from_centre_to_rim():
     assert trends["centre to rim"].start < trends["centre to rim"].end
 
 
+@pytest.mark.whole
 def test_shading_of_a_grey_scan_is_in_its_own_values():
     values = np.random.default_rng(0).normal(1000, 50, (64, 64, 64)) + 3 * np.arange(64)
     (found,) = [

@@ -96,6 +96,7 @@ def test_nothing_of_nothing():
         page([])
 
 
+@pytest.mark.whole
 def test_pictures_that_cannot_be_shown(certificate, tmp_path):
     with pytest.raises(tb.errors.FileError, match="picture"):
         certificate.to_html(pictures=[("gone", tmp_path / "gone.png")])

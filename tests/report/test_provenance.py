@@ -31,6 +31,7 @@ def test_the_face_names_exemplar_hash_date_version_method_and_settings(certifica
     assert third == f"Judged on 2031-05-06 by trabecula {tb.__version__} at the quick level."
 
 
+@pytest.mark.whole
 def test_what_is_done_afterwards_is_said(certificate):
     image = dict(certificate.about["image"])
     image["recipe"] = [*image["recipe"], {"verb": "finish", "operation": "connect", "sha256": "ab"}]

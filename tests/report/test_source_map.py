@@ -31,6 +31,7 @@ def test_a_copy_has_one_colour_and_another_part_many():
     assert 0.4 < other.patch / own_source_map(tb.sample("bone")).patch < 2.5
 
 
+@pytest.mark.whole
 def test_two_pieces_side_by_side_have_two_colours_with_a_seam_between():
     exemplar = bone(0, 0, 0)
     here, there = exemplar.values[:32, :32, :16], exemplar.values[10:42, 10:42, 20:36]
@@ -41,6 +42,7 @@ def test_two_pieces_side_by_side_have_two_colours_with_a_seam_between():
     assert len(pixels) >= 320 and len(pixels) % 32 == 0
 
 
+@pytest.mark.whole
 def test_what_cannot_be_searched_has_no_map():
     exemplar = bone(0, 0, 0)
     assert source_map(exemplar, tb.Image(np.zeros((32, 32, 32), np.uint8), "labels")) is None

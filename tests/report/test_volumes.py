@@ -194,6 +194,7 @@ def test_joined_planes_and_shares():
     assert not Joined(("z", "y", "x"), 0, None).implied
 
 
+@pytest.mark.whole
 def test_curves_fit_into_the_parts_of_a_picture():
     """Thirds of 96 pixels are 32, less than half of a side: curves of 47 do not fit."""
     picture = labels(smooth(0, (96, 96)))

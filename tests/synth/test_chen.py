@@ -40,6 +40,7 @@ def test_no_colour_is_new(orientations):
     assert red[1] == pytest.approx(red[0], abs=0.1)
 
 
+@pytest.mark.whole
 def test_fixed_pixels_stay_and_outside_a_form_is_nothing():
     picture = spots()
     shape = (24, 26, 26)

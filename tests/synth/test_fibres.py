@@ -191,6 +191,7 @@ def test_what_is_laid_has_the_directions_shapes_and_fraction_of_the_felt(felt, m
     np.testing.assert_allclose(moments[1][0, 0], moments[0][0, 0], atol=0.04)
 
 
+@pytest.mark.whole
 def test_a_target_has_more_or_fewer_fibres_and_its_fraction(model):
     counts = {}
     for porosity in (0.8, 0.9):

@@ -105,6 +105,7 @@ def test_steps_aim_at_the_fields_own_two_point_function():
     assert part.curves[0, 0] - target.curves[0, 0] == pytest.approx(np.square(about).mean(), 1e-3)
 
 
+@pytest.mark.whole
 def test_the_guide_is_the_fraction_around_and_its_mean_where_none_counts():
     ramp = np.ascontiguousarray(np.broadcast_to(np.linspace(0.1, 0.5, 44), SHAPE), np.float32)
     mask = np.zeros(SHAPE, bool)

@@ -78,6 +78,7 @@ def test_struts_are_those_of_the_cell_and_their_distance_is_the_nearest_of_all(c
     assert distance(cell, u).ravel() == pytest.approx(least, abs=1e-12)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("cell", ["gyroid", "schwarz_d", "octet", "kelvin"])
 def test_cells_repeat_and_a_periodic_result_fits_itself(cell):
     image = made(64, cell=cell).values

@@ -97,6 +97,7 @@ def test_behind_a_contact_a_body_is_as_round_as_before_it():
     assert blind[contact].mean() < 6
 
 
+@pytest.mark.whole
 def test_bodies_of_a_scan_are_counted_and_sized(grid):
     inside, large = grid
     found = find_bodies(tb.Image(inside.astype(np.uint8), "labels"), 1, 4)

@@ -227,6 +227,7 @@ def test_known_voxels_stay_and_the_free_ones_have_their_fraction(model, scan, ex
     assert abs(int(extension.values[~known].sum()) - round(float(pooled) * (~known).sum())) <= 1
 
 
+@pytest.mark.whole
 def test_beads_go_on_across_the_joint(model, scan, extension):
     told = report(extension)
     assert told["standing"] > 25

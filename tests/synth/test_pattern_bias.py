@@ -80,6 +80,7 @@ def test_material_that_it_never_saw_comes_nearer(bias):
             assert before[inside].sum() == after[inside].sum()
 
 
+@pytest.mark.whole
 def test_parts_keep_their_fractions(bias):
     """Blocks of 32 in cells of 10: the last along an axis holds what remains."""
     first = [0, 10, 20, 30, 32, 42, 52, 62]

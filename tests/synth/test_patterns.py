@@ -259,6 +259,7 @@ def test_voxels_do_not_depend_on_threads(smooth_and_target):
     assert np.any(other != made[0])
 
 
+@pytest.mark.whole
 def test_voxels_that_are_not_free_and_outside_stay(smooth_and_target):
     phases, votes, patterns = smooth_and_target
     valid = np.ones(phases.shape, bool)
@@ -289,6 +290,7 @@ def test_beside_fixed_voxels_only_what_is_free_is_mended():
     assert misfit(made[far], patterns) < 0.65 * misfit(phases[far], patterns)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("side", "every", "balls"), [(40, 1000, True), (60, 4000, False)])
 def test_small_bodies_stay(side, every, balls):
     phases, votes = blobs(0, (side,) * 3, sigma=4.0)
@@ -370,6 +372,7 @@ class TestTexture:
         assert report["off_after"] < report["off_before"]
         assert "patterns" not in found[0].recipe.steps[-1]["report"]
 
+    @pytest.mark.whole
     def test_recipes_of_before_have_none(self, exemplar):
         from trabecula.synth.texture.config import TextureConfig
 

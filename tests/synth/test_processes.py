@@ -113,6 +113,7 @@ def test_points_keep_apart_and_mixed_spheres_do_not_touch():
     assert (gaps[~np.eye(len(kept), dtype=bool)] >= 1.0).all()
 
 
+@pytest.mark.whole
 def test_voxels_do_not_depend_on_threads():
     one = []
     for count in (1, 2):
@@ -156,6 +157,7 @@ def test_a_picture_resembles_the_process_that_it_is_of(name, fraction):
     assert own.length == pytest.approx(16.0, rel=0.2)
 
 
+@pytest.mark.whole
 def test_pictures_that_no_process_is_for_say_why():
     three = tb.Image(np.arange(900, dtype=np.uint8).reshape(30, 30) % 3, "labels")
     told = choose_process(views_of([three]), (0, 1, 2), "auto")

@@ -78,6 +78,7 @@ def test_corners_are_rounded_by_the_radius():
     assert rounded[1, 1] == pytest.approx(4.0)
 
 
+@pytest.mark.whole
 def test_grains_have_the_volumes_that_were_drawn():
     diagram, error = grow_grains(1, (40, 40, 40), 1 / 512, spread=0.6, lloyd_steps=2)
     volumes = np.sort(diagram.moments((80, 80, 80))[:, 0]) / 8
@@ -119,6 +120,7 @@ def test_boundaries_thinner_than_a_voxel_are_closed_still():
     assert walls.sum() == 36
 
 
+@pytest.mark.whole
 def test_sections_are_like_the_picture(made, picture):
     own = plane_cells(picture)
     cuts = [np.take(made.values, at, axis) for axis in range(3) for at in (3, 15, 27)]
@@ -254,12 +256,14 @@ def test_a_scan_stands_alone_and_has_no_planes(foam):
         tb.method("tessellation", views=("yx", "zx")).fit(foam)
 
 
+@pytest.mark.whole
 def test_a_saved_model_of_a_scan_gives_the_same_voxels(foam_model, tmp_path):
     again = tb.load_model(foam_model.save(tmp_path / "foam.tbm"))
     made = [one.generate((20, 24, 28), seed=5).values for one in (foam_model, again)]
     assert np.array_equal(*made)
 
 
+@pytest.mark.whole
 def test_cells_of_a_stretched_scan_are_stretched(foam):
     wide = tb.Image(np.repeat(foam.values, 2, axis=2), "labels", phases=foam.phases)
     z, y, x = tb.method("tessellation", **FAST).fit(wide).learned.stretch

@@ -87,6 +87,7 @@ def test_the_histogram_is_the_scans(grey, made):
     assert np.abs(ends[0] - ends[1]).max() < 0.003
 
 
+@pytest.mark.whole
 def test_the_spectrum_is_the_scans(grey, made):
     """The grain, which fills the last bands, and the blur, which empties those before."""
     ratio = spectrum(made.values) / spectrum(grey.values)
@@ -252,6 +253,7 @@ def test_noise_alone_tells_no_structure():
     assert np.array_equal(model.generate(32).values, plain.generate(32).values)
 
 
+@pytest.mark.whole
 def test_novelty_0_is_the_former_way(grey):
     model = tb.method("texture", novelty=0.0).fit(grey)
     assert model.painted is None
@@ -268,6 +270,7 @@ def test_colours_agree_on_their_channels(colour):
         assert np.allclose(ends, np.percentile(colour.values[..., channel], [5, 50, 95]), atol=3)
 
 
+@pytest.mark.whole
 def test_a_voxel_that_is_not_a_cube_is_smoothed_by_its_edges(bone):
     """Known truth: a scan blurred by one unit along every axis has the same weights in voxels of
     another shape.

@@ -93,6 +93,7 @@ def test_rods_point_where_their_copy_was_turned_to():
     assert np.abs(middle - wanted_fabric(DIAGONAL)).max() < 0.1
 
 
+@pytest.mark.whole
 def test_what_cannot_be_turned_is_refused():
     frames = frames_of({"orientation": np.array([0.0, 0, 1])}, 24)
     with pytest.raises(RequestError, match="no direction that an orientation could turn"):

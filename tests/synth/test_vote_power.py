@@ -59,6 +59,7 @@ def test_euler_densities_are_those_of_the_measure_for_both_sides(bone_field):
         assert found == pytest.approx(measured)
 
 
+@pytest.mark.whole
 def test_several_fields_count_by_their_size(bone_field):
     small = np.ascontiguousarray(bone_field[:, :16])
     cubes = [np.prod(np.array(f.shape[1:]) - 1) for f in (bone_field, small)]

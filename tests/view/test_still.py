@@ -397,6 +397,7 @@ def test_what_lies_at_the_threshold_is_drawn():
     assert _as_drawable(grey, 5).values.tolist() == [[[0, 1, 1]]]
 
 
+@pytest.mark.whole
 def test_a_field_colours_what_is_drawn():
     """A ramp along x: dark to the left, yellow to the right; every other volume is unchanged."""
     cube = tb.Image(np.ones((24, 24, 24), bool), "labels", unit="um")

@@ -407,6 +407,7 @@ def test_settings_of_traced_stills_are_refused_by_quick_ones():
         tb.render(foam(8), size=SMALL, exposure=1)
 
 
+@pytest.mark.whole
 def test_a_look_of_ones_own_comes_from_a_file(tmp_path):
     path = tmp_path / "brass.toml"
     path.write_text(

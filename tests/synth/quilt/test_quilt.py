@@ -182,6 +182,7 @@ def bars():
 BARS = dict(patch=14, overlap=4, period="none", tries=3)
 
 
+@pytest.mark.whole
 def test_where_no_piece_fits_struts_make_one_body():
     made = tb.method("quilt", **BARS).fit(bars()).generate(40, seed=1)
     summary = report(made)
