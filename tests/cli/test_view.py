@@ -106,6 +106,7 @@ def test_a_still_is_cut_as_asked_and_can_be_made_again(place):
     np.testing.assert_array_equal(tb.read("still.png").values, expected.values)
 
 
+@pytest.mark.whole
 def test_a_traced_still_is_that_of_python_and_can_be_run_again(place):
     (place / "own.toml").write_text('base = "wax"\nalbedo = [200, 120, 90]\n')
     words = ("render", "a.tif", "--out", "traced.png", "--size", 32, 24, "--cut", "none")

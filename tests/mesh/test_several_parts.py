@@ -32,6 +32,7 @@ def test_every_part_is_an_object_with_a_material(tmp_path):
     assert len(list(model.iter(f"{CORE}item"))) == 2
 
 
+@pytest.mark.whole
 def test_they_are_read_at_their_places(tmp_path):
     path = tb.export(halves(), tmp_path / "a.3mf", phase=["steel", "rubber"], tolerance=0.2)
     found = check(tb.read_mesh(path))

@@ -7,7 +7,7 @@ import trabecula as tb
 from trabecula.core.progress import listen
 from trabecula.errors import RequestError
 from trabecula.measure.smooth import gaussian
-from trabecula.synth.kopf.back_projection import BlockBounds, back_project, settle
+from trabecula.synth.kopf.back_projection import BlockBounds, _nth_least, back_project, settle
 from trabecula.synth.kopf.change_of_support import (
     block_majority,
     block_variance,
@@ -36,6 +36,15 @@ def majority_bounds(coarse, sides):
     size = int(np.prod(sides))
     least, most = np.where(coarse, size // 2 + 1, 0), np.where(coarse, size, (size - 1) // 2)
     return BlockBounds(least.astype(np.int32), most.astype(np.int32), sides)
+
+
+def test_the_nth_least_is_that_of_a_sort():
+    random = np.random.default_rng(4)
+    for size in (1, 2, 7, 64):
+        values = random.integers(-3, 4, size).astype(np.int16)
+        values[0] = -32768 if size % 2 else 32767
+        found = [_nth_least(values, place) for place in range(size)]
+        assert found == sorted(values.tolist())
 
 
 def test_back_projection_reaches_the_bounds_and_leaves_a_field_that_keeps_them():

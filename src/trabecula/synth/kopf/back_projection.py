@@ -78,6 +78,24 @@ def add_shifts(votes: np.ndarray, shifts: np.ndarray, sides: Sequence[float]) ->
     for_slabs(lambda a, b: add_interpolated(votes, shifts, edges, a, b), len(votes))
 
 
+@inline
+def _nth_least(values, place):
+    """Return the value at `place`, from 0, of values (n,) int16 in rising order: the least that more
+    of them do not exceed.
+    """
+    low, high = -32768, 32767
+    while low < high:
+        middle = (low + high) >> 1
+        count = 0
+        for n in range(len(values)):
+            count += values[n] <= middle
+        if count > place:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
 @kernel
 def block_shifts(votes, least, most, sides, margin, shifts, start, stop):
     """Write the shift that brings each block of rows start..stop between its bounds."""
@@ -98,11 +116,11 @@ def block_shifts(votes, least, most, sides, margin, shifts, start, stop):
                 if positive < low:
                     # the low-th largest value is to be positive
                     place = size - low
-                    shifts[k, j, i] = margin - np.partition(values, place)[place]
+                    shifts[k, j, i] = margin - _nth_least(values, place)
                 elif positive > high:
                     # the largest but `high` is not
                     place = size - high - 1
-                    shifts[k, j, i] = -margin - np.partition(values, place)[place]
+                    shifts[k, j, i] = -margin - _nth_least(values, place)
 
 
 @inline
