@@ -80,8 +80,8 @@ def add_shifts(votes: np.ndarray, shifts: np.ndarray, sides: Sequence[float]) ->
 
 @inline
 def _nth_least(values, place):
-    """Return the value at `place`, from 0, of values (n,) int16 in rising order: the least that more
-    of them do not exceed.
+    """Return the value at `place`, from 0, of values (n,) int16 in rising order: the least one that
+    more of them do not exceed.
     """
     low, high = -32768, 32767
     while low < high:
