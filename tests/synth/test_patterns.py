@@ -7,6 +7,7 @@ import pytest
 from scipy import ndimage
 
 import trabecula as tb
+from trabecula.core.progress import listen, run_of, whole_run
 from trabecula.engine.parallel import threads
 from trabecula.measure.labelling import label_components
 from trabecula.synth.shared.patterns.balls import FRACTIONS, RADII, STEP
@@ -372,14 +373,25 @@ class TestTexture:
         assert report["off_after"] < report["off_before"]
         assert "patterns" not in found[0].recipe.steps[-1]["report"]
 
-    @pytest.mark.whole
-    def test_recipes_of_before_have_none(self, exemplar):
+    def test_recipes_of_before_have_none(self):
         from trabecula.synth.texture.config import TextureConfig
 
         assert TextureConfig().interface_rounds > 0
         assert TextureConfig.recorded({})["interface_rounds"] == 0
         assert TextureConfig().interface_balls
         assert TextureConfig.recorded({})["interface_balls"] is False
+
+    @pytest.mark.whole
+    def test_progress_leaves_them_a_third_of_the_run(self, exemplar):
+        model, reached = tb.method("texture").fit(exemplar), []
+
+        def hear(label, fraction):
+            if label == "matching patterns":
+                reached.append(run_of(fraction).reached)
+
+        with listen(hear), whole_run():
+            model.generate(72, seed=2)
+        assert 0.5 < reached[0] < 0.8 and reached[-1] == pytest.approx(1)
 
     @pytest.mark.whole
     def test_a_form_keeps_its_outside(self, exemplar):

@@ -20,7 +20,7 @@ import numpy as np
 
 from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image, with_values
-from trabecula.core.progress import notify, track
+from trabecula.core.progress import notify, part_of, track
 from trabecula.core.request import Request
 from trabecula.core.target import FRAME, frame_of, porosity_of
 from trabecula.engine.memory import Array, Stage, forecast, resident, within
@@ -132,6 +132,7 @@ from trabecula.synth.texture.scan_phases import ScanPhases, find_phases
 _WINDOW, _NARROWEST, _WINDOWS = 2, 8, 6
 _PARTS = 4  # windows along it whose patterns tell how these change with density
 _LEAST_LEFT = 1e-6  # of a phase
+_FLIPS = 0.35  # share of the time of a run that flips take
 _FINE = 2.0  # voxels of the structure's length below which a graded result is not smoothed
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _OF_A_COPY = 14  # bytes of an exemplar's voxel in a turned copy, which holds half of them
@@ -462,32 +463,44 @@ class TextureModel(Model):
             values = self._values_on(votes, structure, request, self.painted.targets)
             phases = self.painted.grey.scan.count
             return values, {"way": _PAINTED, "phases": phases, **made}
+        flips = _FLIPS if new and self._matches_patterns(request) else 0.0
+        with part_of((1 - flips, flips), 0):
+            votes = fit_to(self._make_votes(request, report, new=new), request.shape)
+        with part_of((1 - flips, flips), 1):
+            return self._finish_votes(votes, request, report, new=new)
+
+    def _make_votes(self, request: Request, report: dict[str, Any], *, new: bool) -> np.ndarray:
+        """Return the votes that rounds end with; energies are reported."""
         if new:
-            votes = novel_layout.make_novel(
+            return novel_layout.make_novel(
                 self._novel_rounds(
                     request, self._regions_around(request), self._held_fractions(request)
                 )
             )
-        else:
-            used = levels_for(request.shape, len(self.levels), width=max(self.config.neighbourhood))
-            # no array is held by a name here: the run frees what it no longer needs
-            votes, energies = make_from_patches(
-                ExemplarRounds(
-                    self.levels[:used],
-                    regions_of(request, used, self._bounds(request), self._quantise),
-                    request,
-                    self.config,
-                    distances=self.content.distances,
-                    targets=self.targets,
-                    fractions=self._fractions(request, used),
-                    struts=self._struts if request.target else (),
-                    copies=self.copies,
-                    window=self._held_width if request.target else NARROWEST,
-                )
+        used = levels_for(request.shape, len(self.levels), width=max(self.config.neighbourhood))
+        # no array is held by a name here: the run frees what it no longer needs
+        votes, energies = make_from_patches(
+            ExemplarRounds(
+                self.levels[:used],
+                regions_of(request, used, self._bounds(request), self._quantise),
+                request,
+                self.config,
+                distances=self.content.distances,
+                targets=self.targets,
+                fractions=self._fractions(request, used),
+                struts=self._struts if request.target else (),
+                copies=self.copies,
+                window=self._held_width if request.target else NARROWEST,
             )
-            if energies:
-                report["levels"] = energies
-        votes = fit_to(votes, request.shape)
+        )
+        if energies:
+            report["levels"] = energies
+        return votes
+
+    def _finish_votes(
+        self, votes: np.ndarray, request: Request, report: dict[str, Any], *, new: bool
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Return the values that votes end as, and the report with what was done."""
         if self._settles(request, new=new):
             values, report["graded"] = self._settle_shape(votes, request, new=new)
             return values, report
