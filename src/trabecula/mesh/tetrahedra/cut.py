@@ -209,5 +209,6 @@ def _split(cells, level, keys, count, new, whole, side):
             for a in range(4):
                 if parts[m, a] < count and level[parts[m, a]] != 0:
                     sign = 1 if level[parts[m, a]] > 0 else -1
-            new[made - 1], whole[made - 1], side[made - 1] = parts[m], n, sign
+            copy_row(new[made - 1], parts[m])
+            whole[made - 1], side[made - 1] = n, sign
     return made
