@@ -84,7 +84,6 @@ def test_how_it_is_read():
     assert "which is not here" not in refused("inspect", "missing.tif")
 
 
-@pytest.mark.whole
 def test_a_store_that_does_not_fit_is_inspected_in_its_middle(monkeypatch):
     from trabecula.report import inspection
 

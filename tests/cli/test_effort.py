@@ -74,7 +74,6 @@ def test_another_method_is_tried_beside_the_settings(bone, monkeypatch):
     assert [dict(trial.settings) for trial in made] == [{}, {"method": "noise"}]
 
 
-@pytest.mark.whole
 def test_methods_that_cannot_make_the_request_are_not_tried(bone):
     def others(*words):
         options = whole_parser().parse_args(["generate", "bone.tif", "--out", "x.tif", *words])
@@ -122,13 +121,11 @@ def test_a_method_that_cannot_learn_is_left_out_with_a_line(bone, monkeypatch):
     assert any("kopf is not tried" in line for line in told)
 
 
-@pytest.mark.whole
 def test_effort_1_tries_nothing(bone):
     asked = tb.method("texture")
     assert tb.choose_settings(asked, bone, effort=1) == (asked, ())
 
 
-@pytest.mark.whole
 @pytest.mark.parametrize(
     ("method", "settings", "effort", "said"),
     [

@@ -144,7 +144,6 @@ def test_a_threshold_that_is_given_divides_and_is_recorded():
     assert step["sha256"] == digest(image.values)
 
 
-@pytest.mark.whole
 def test_what_was_found_gives_the_same_when_given(bimodal):
     for way in ("otsu", "dual"):
         found = tb.segment(grey(bimodal[0]), way)

@@ -114,7 +114,6 @@ def test_other_mixtures_are_other_layers(tmp_path):
             tb.write_layers(block(), tmp_path / "a", mixtures={"bone": mixture})
 
 
-@pytest.mark.whole
 def test_layers_of_a_model_are_those_of_its_volume(model, tmp_path):
     volume = model.generate((9, 8, 7), seed=5)
     slabs = slabs_of_model(model, (9, 8, 7), seed=5)

@@ -68,7 +68,6 @@ def test_the_normals_of_an_stl_point_outwards(tmp_path):
     assert np.all(np.einsum("ij,ij->i", records["n"], away) > 0)
 
 
-@pytest.mark.whole
 @pytest.mark.parametrize(
     ("unit", "name", "factor"),
     [

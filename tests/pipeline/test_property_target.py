@@ -44,7 +44,6 @@ def test_what_the_material_cannot_have_is_refused_with_the_range(model):
     assert "\n" not in str(it.value)
 
 
-@pytest.mark.whole
 @pytest.mark.parametrize(
     ("asked", "error", "words"),
     [

@@ -49,7 +49,6 @@ def samples(values) -> dict[str, CorrelatedSample]:
     return {name: CorrelatedSample.independent(each) for name, each in values.items()}
 
 
-@pytest.mark.whole
 def test_other_samples_of_the_material_pass(certificate):
     assert certificate.verdict == "pass" and not certificate.failed
     assert certificate.real["parts"] == 27 and not certificate.real["extrapolated"]
@@ -278,7 +277,6 @@ def test_one_value_in_members_and_parts_is_a_pass_and_parts_of_one_value_judge_n
         assert found.verdict == verdict and found.ratio is None
 
 
-@pytest.mark.whole
 def test_json_is_plain_and_holds_every_figure(certificate):
     plain = json.loads(json.dumps(certificate.to_json(), allow_nan=False))["ensemble"]
     assert plain["members"] == 16 and plain["shape"] == [24, 24, 24]

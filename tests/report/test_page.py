@@ -69,7 +69,6 @@ def test_page_is_one_self_contained_file(certificate, tmp_path):
     assert "<worse" not in html and "&lt;worse &amp; worse&gt;" in html
 
 
-@pytest.mark.whole
 def test_page_says_the_verdict_and_every_figure(certificate):
     html = certificate.to_html()
     assert certificate.passed is False and "FAIL" in html.split("<h2>")[0]
@@ -96,7 +95,6 @@ def test_nothing_of_nothing():
         page([])
 
 
-@pytest.mark.whole
 def test_pictures_that_cannot_be_shown(certificate, tmp_path):
     with pytest.raises(tb.errors.FileError, match="picture"):
         certificate.to_html(pictures=[("gone", tmp_path / "gone.png")])

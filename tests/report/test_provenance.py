@@ -19,7 +19,6 @@ def certificate():
     return tb.verify(exemplar, made, names=["made.zarr"], level="quick", r_max=8)
 
 
-@pytest.mark.whole
 def test_the_face_names_exemplar_hash_date_version_method_and_settings(certificate):
     first, second, third = face(certificate, date="2031-05-06")
     digest = certificate.about["exemplar"]["recipe"][-1]["sha256"]
@@ -31,7 +30,6 @@ def test_the_face_names_exemplar_hash_date_version_method_and_settings(certifica
     assert third == f"Judged on 2031-05-06 by trabecula {tb.__version__} at the quick level."
 
 
-@pytest.mark.whole
 def test_what_is_done_afterwards_is_said(certificate):
     image = dict(certificate.about["image"])
     image["recipe"] = [*image["recipe"], {"verb": "finish", "operation": "connect", "sha256": "ab"}]

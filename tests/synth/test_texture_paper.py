@@ -345,7 +345,6 @@ def test_the_energy_by_hand():
     assert made == Energy(weighted=30 + 30, robust=2 * (2 + 3) + 30, squares=13, gradient=3)
 
 
-@pytest.mark.whole
 @given(
     r=st.floats(0, 2),
     scale=st.floats(0.01, 10),

@@ -204,7 +204,6 @@ def test_two_exemplars_both_lend_their_structures():
     assert faces[2] < 0.5 * min(faces[:2])
 
 
-@pytest.mark.whole
 def test_exemplars_that_differ_are_refused(bone):
     other = tb.Image(
         bone.values,

@@ -50,7 +50,6 @@ def apart(jittered, power, euler):
     return np.abs(euler_densities([match_votes(grid.region, votes, grid.targets)]) - euler).sum()
 
 
-@pytest.mark.whole
 def test_euler_densities_are_those_of_the_measure_for_both_sides(bone_field):
     above, below = euler_densities([bone_field])
     inside = (bone_field[0] > 0).astype(np.uint8)
@@ -59,7 +58,6 @@ def test_euler_densities_are_those_of_the_measure_for_both_sides(bone_field):
         assert found == pytest.approx(measured)
 
 
-@pytest.mark.whole
 def test_several_fields_count_by_their_size(bone_field):
     small = np.ascontiguousarray(bone_field[:, :16])
     cubes = [np.prod(np.array(f.shape[1:]) - 1) for f in (bone_field, small)]
