@@ -17,6 +17,7 @@ import numpy as np
 
 from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
+from trabecula.core.progress import part_of
 from trabecula.core.request import Request
 from trabecula.engine.memory import Stage
 from trabecula.exemplar.views import View
@@ -37,7 +38,7 @@ from trabecula.synth.shared.novel_schedule import LEAST, Pass, passes, start_of
 from trabecula.synth.shared.patterns.counts import LEAST_VOXELS, Patterns
 from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.flips import FlipRegion, pattern_stages
-from trabecula.synth.shared.patterns.labels import match_patterns
+from trabecula.synth.shared.patterns.labels import match_patterns, shares_of
 from trabecula.synth.shared.pyramid import fit_to, halve
 from trabecula.synth.shared.small_bodies import (
     SmallBodies,
@@ -143,13 +144,16 @@ class RelativeModel:
 
     def make(self, request: Request, content: Labels) -> tuple[np.ndarray, dict[str, Any]]:
         """Return the values of a request, with the fractions of `content`, and a report."""
-        votes = fit_to(novel_layout.make_novel(self.rounds(request)), request.shape)
-        settled = settle_phases(votes, content, self.small, request, name="kopf")
-        values = content.to_values(votes, request)
-        report = {**self.adapted.report, "small_bodies": settled}
-        if self.patterns is not None:
-            values, report["patterns"] = self._match_patterns(values, votes, request, content)
-        return values, {"like": report}
+        shares = shares_of(self.patterns)
+        with part_of(shares, 0):
+            votes = fit_to(novel_layout.make_novel(self.rounds(request)), request.shape)
+        with part_of(shares, 1):
+            settled = settle_phases(votes, content, self.small, request, name="kopf")
+            values = content.to_values(votes, request)
+            report = {**self.adapted.report, "small_bodies": settled}
+            if self.patterns is not None:
+                values, report["patterns"] = self._match_patterns(values, votes, request, content)
+            return values, {"like": report}
 
     def _match_patterns(
         self, values: np.ndarray, votes: np.ndarray, request: Request, content: Labels

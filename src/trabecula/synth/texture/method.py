@@ -81,7 +81,7 @@ from trabecula.synth.shared.own_figures import (
 from trabecula.synth.shared.patterns.counts import LEAST_VOXELS, MOST_PHASES
 from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.flips import FlipRegion, pattern_stages
-from trabecula.synth.shared.patterns.labels import match_patterns
+from trabecula.synth.shared.patterns.labels import match_patterns, shares_of
 from trabecula.synth.shared.pictures import ROOM
 from trabecula.synth.shared.pyramid import fit_to, halve
 from trabecula.synth.shared.slabs import make_by_slabs
@@ -132,7 +132,6 @@ from trabecula.synth.texture.scan_phases import ScanPhases, find_phases
 _WINDOW, _NARROWEST, _WINDOWS = 2, 8, 6
 _PARTS = 4  # windows along it whose patterns tell how these change with density
 _LEAST_LEFT = 1e-6  # of a phase
-_FLIPS = 0.35  # share of the time of a run that flips take
 _FINE = 2.0  # voxels of the structure's length below which a graded result is not smoothed
 _PROCESS = 180 << 20  # bytes of the interpreter with NumPy, Numba and the kernels loaded
 _OF_A_COPY = 14  # bytes of an exemplar's voxel in a turned copy, which holds half of them
@@ -463,10 +462,11 @@ class TextureModel(Model):
             values = self._values_on(votes, structure, request, self.painted.targets)
             phases = self.painted.grey.scan.count
             return values, {"way": _PAINTED, "phases": phases, **made}
-        flips = _FLIPS if new and self._matches_patterns(request) else 0.0
-        with part_of((1 - flips, flips), 0):
+        patterns = self._patterns_for(request) if new and self._matches_patterns(request) else None
+        shares = shares_of(patterns)
+        with part_of(shares, 0):
             votes = fit_to(self._make_votes(request, report, new=new), request.shape)
-        with part_of((1 - flips, flips), 1):
+        with part_of(shares, 1):
             return self._finish_votes(votes, request, report, new=new)
 
     def _make_votes(self, request: Request, report: dict[str, Any], *, new: bool) -> np.ndarray:
@@ -546,6 +546,11 @@ class TextureModel(Model):
         present = self.content.present
         return [phases_of(one.values, present) for one in self.exemplars], len(present)
 
+    def _patterns_for(self, request: Request) -> PatternDensities:
+        """Return the patterns that flips bring a result to: without balls beside known voxels."""
+        patterns = self._patterns_by_fraction if request.target else self._patterns
+        return patterns if request.fixed is None else patterns.without_balls()
+
     def _match_patterns(
         self,
         values: np.ndarray,
@@ -558,13 +563,12 @@ class TextureModel(Model):
         """
         assert isinstance(self.content, Labels)
         graded, free = bool(request.target), free_voxels(request)
-        patterns = self._patterns_by_fraction if graded else self._patterns
         return match_patterns(
             values,
             votes,
             self.content,
             request,
-            patterns if request.fixed is None else patterns.without_balls(),
+            self._patterns_for(request),
             FlipRegion(request.periodic, free, request.mask, graded, fractions, self._held_width),
             rounds=self.config.interface_rounds,
             clip=self.config.clip,
