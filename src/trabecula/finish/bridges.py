@@ -156,8 +156,8 @@ def _shortest_path(state, reach):
                 path = np.empty((length + 1, 3), np.int64)
                 k = head
                 for row in range(length, -1, -1):
-                    at = queue[k]
-                    copy_row(path[row], (at // (height * width), at // width % height, at % width))
+                    v = queue[k]
+                    copy_row(path[row], (v // (height * width), v // width % height, v % width))
                     k = origin[k]
                 return path
             if flat[other] == _OPEN:

@@ -15,6 +15,7 @@ import numpy as np
 
 from trabecula.engine.compile import kernel
 from trabecula.engine.lazy_volume import Slabs
+from trabecula.numerics.vectors import add_to
 
 _MOST = 1 << 27  # bytes of planes that are kept between layers
 
@@ -153,8 +154,7 @@ def _average_rows(values, first, weights, result):
             for tap in range(weights.shape[1]):
                 at = first[y] + tap
                 if 0 <= at < values.shape[1] and weights[y, tap] > 0:
-                    for x in range(values.shape[2]):
-                        result[p, y, x] += weights[y, tap] * values[p, at, x]
+                    add_to(result[p, y], weights[y, tap], values[p, at])
 
 
 @kernel

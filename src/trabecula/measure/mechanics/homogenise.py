@@ -15,7 +15,7 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels, with_values
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import one_blas_thread
-from trabecula.engine.rows import add_row
+from trabecula.engine.rows import add_block
 from trabecula.measure.centre_crop import box_sides, centre, check_memory, clip_sides
 from trabecula.measure.mechanics.elements import brick_stiffness, isotropic, mean_strain
 from trabecula.measure.mechanics.lattice import LOADS, Cells, node_mask, voxel_cells
@@ -285,8 +285,7 @@ def _result(
 def _add_loads(nodes, kind, pull, load):
     for cell in range(len(nodes)):
         for c in range(8):
-            for i in range(3):
-                add_row(load[nodes[cell, c], i], pull[kind[cell], c, i])
+            add_block(load[nodes[cell, c]], pull[kind[cell], c])
 
 
 @kernel
@@ -314,5 +313,4 @@ def _sum_stress(nodes, kind, position, materials, strain, u, layers):
                     total += d[i, k] * e[k, j]
                 s[i, j] = total
         for axis in range(3):
-            for i in range(6):
-                add_row(layers[axis, position[cell, axis], i], s[i])
+            add_block(layers[axis, position[cell, axis]], s)

@@ -20,7 +20,7 @@ import numpy as np
 
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.engine.rows import add_row, copy_row
+from trabecula.engine.rows import add_block, copy_block
 from trabecula.measure.mechanics.lattice import (
     LEAST,
     LOADS,
@@ -356,13 +356,10 @@ def _fill(chosen, nodes, kind, matrices, begin, entry, first, neighbour, start, 
         for i in range(begin[n], begin[n + 1]):
             cell, a = entry[i] // 8, entry[i] % 8
             for b in range(8):
-                for i in range(3):
-                    add_row(blocks[slot[nodes[cell, b]], i], matrices[kind[cell], a, b, i])
+                add_block(blocks[slot[nodes[cell, b]]], matrices[kind[cell], a, b])
         for k in range(width):
-            for i in range(3):
-                copy_row(values[start[row] + k, i], blocks[k, i])
-        for i in range(3):
-            copy_row(diagonal[row, i], blocks[slot[n], i])
+            copy_block(values[start[row] + k], blocks[k])
+        copy_block(diagonal[row], blocks[slot[n]])
 
 
 @kernel

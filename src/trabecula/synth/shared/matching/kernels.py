@@ -275,7 +275,7 @@ def vote(field, match, weight, layout, plane, result, start, stop):
         for turn in range(2 if wraps[0] else 1):
             _vote_plane(field, match, weight, layout, plane, summed, z + turn * Z)
         _spread(summed, plane[C], layout)
-        _fold(plane, Y, X, wraps)
+        fold(plane, Y, X, wraps)
         for c in range(C):
             for y in range(Y):
                 for x in range(X):
@@ -286,7 +286,7 @@ def vote(field, match, weight, layout, plane, result, start, stop):
 
 
 @inline
-def _fold(plane, Y, X, wraps):
+def fold(plane, Y, X, wraps):
     """Add the part beyond an axis that wraps to its beginning."""
     # Loops and no sums of arrays, here and below: those take Numba seconds to compile.
     for c in range(plane.shape[0]):

@@ -16,11 +16,11 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.engine.rows import add_row
+from trabecula.engine.rows import add_block
 from trabecula.synth.shared.content.fields import FULL
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, targets_of
-from trabecula.synth.shared.matching.kernels import reach
+from trabecula.synth.shared.matching.kernels import fold, reach
 from trabecula.synth.shared.matching.neighbourhoods import Triple
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import trims_of
@@ -195,15 +195,13 @@ def add_votes(total, start, values, match, weight, layout):
             m, w = match[start + z], weight[start + z]
             _vote_rows(values, m, w, layout, 0, planes[0])
             for c in range(C):
-                for y in range(height):
-                    add_row(total[c, z, y], planes[0, c, y])
+                add_block(total[c, z], planes[0, c])
     elif axis == 1:
         for y in range(height):
             m, w = match[y], weight[y]
             _vote_rows(values, m, w, layout, start, planes[0])
             for c in range(C):
-                for z in range(depth):
-                    add_row(total[c, z, y], planes[0, c, z])
+                add_block(total[c, :, y], planes[0, c])
     else:
         for first in range(0, across, together):
             count = min(together, across - first)
@@ -256,10 +254,7 @@ def _vote_rows(values, match, weight, layout, start, plane):
                         row = values[c, ez, ey + dy, ex : ex + width]
                         for x in range(width):
                             to[x] += weights[x] * np.int32(row[x])
-    for x in range(sides[2], plane.shape[2] if wraps[2] else 0):
-        for c in range(C):
-            for y in range(plane.shape[1]):
-                plane[c, y, x - sides[2]] += plane[c, y, x]
+    fold(plane, plane.shape[1], sides[2], (False, False, wraps[2]))
 
 
 @kernel
