@@ -7,11 +7,10 @@ import pytest
 
 import trabecula as tb
 from trabecula.errors import InputError, RequestError
-from trabecula.exemplar.views import views_of
+from trabecula.exemplar.views import is_seen_alike, views_of
 from trabecula.measure.smooth import gaussian
-from trabecula.synth.kopf.relative import SliceStatistics, adapt_relative, is_seen_alike
-from trabecula.synth.kopf.relative_model import _move_target, _patterns_of
-from trabecula.synth.shared.patterns.counts import Patterns
+from trabecula.synth.kopf.relative import SliceStatistics, adapt_relative
+from trabecula.synth.kopf.relative_model import _move_target
 from trabecula.synth.shared.statistics.pairs import DIAGONAL, LINES
 from trabecula.synth.shared.statistics.two_point import Correlations
 
@@ -153,27 +152,6 @@ def test_what_is_apart_in_the_relative_is_apart_in_the_result():
     assert tb.measure.largest_fraction(made) < 0.25
     report = made.recipe.steps[-1]["report"]["like"]
     assert report["fraction"]["picture"] == pytest.approx(picture.values.mean())
-
-
-def test_chords_are_the_pictures_and_the_rest_the_relatives():
-    """Along an axis those of the pictures that show it: here of rows and columns that differ, and
-    nothing along z, which no picture shows.
-    """
-    picture = material((3, 96, 96), 2.0, 0).values[1]
-    long = np.ascontiguousarray(np.repeat(picture[:48], 2, axis=0))
-    relative = material((40, 40, 40), 2.0, 1)
-    own = Patterns.of(relative.values, 2)
-    views = [view for view in views_of([tb.Image(long, "labels")], ()) if view.across == (1, 2)]
-    assert len(views) == 1
-    found = _patterns_of(relative, views, (0, 1)).own
-    chords = found[: own.bins.cubes].reshape(3, -1)
-    shown = Patterns.of(long[None], 2).chord_densities
-    np.testing.assert_array_equal(chords[0], own.chord_densities[0])
-    np.testing.assert_array_equal(chords[1:], shown[1:])
-    np.testing.assert_array_equal(found[own.bins.cubes :], own.densities[own.bins.cubes :])
-    alike = _patterns_of(relative, views_of([tb.Image(picture, "labels")], ()), (0, 1)).own
-    both = Patterns.of(picture[None], 2).chord_densities[1:].mean(axis=0)
-    np.testing.assert_allclose(alike[: own.bins.cubes].reshape(3, -1), np.stack([both] * 3))
 
 
 @pytest.mark.whole

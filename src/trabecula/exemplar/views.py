@@ -123,6 +123,12 @@ def views_of(
     return _validate(sorted(views, key=lambda view: view.axis))
 
 
+def is_seen_alike(views: Sequence[View]) -> bool:
+    """Return whether one picture is seen across all three axes, in cubic voxels."""
+    spacing = {edge for view in views for edge in view.image.spacing}
+    return len({view.picture for view in views}) == 1 and len(views) == 3 and len(spacing) == 1
+
+
 def as_planes(given: str | Sequence[str]) -> tuple[str, ...]:
     """Return the planes that a setting names: a sequence, or one text such as "yx,zx".
 

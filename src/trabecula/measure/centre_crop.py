@@ -16,12 +16,8 @@ def box_sides(box: int | Sequence[int] | None, shape: tuple[int, ...]) -> tuple[
     """
     if box is None:
         return shape
-    return clip_sides(as_shape(box, ndim=len(shape), name="box"), shape)
-
-
-def clip_sides(sides: Sequence[int], shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Return sides that are no longer than the image's."""
-    return tuple(min(side, length) for side, length in zip(sides, shape, strict=True))
+    asked = as_shape(box, ndim=len(shape), name="box")
+    return tuple(min(side, length) for side, length in zip(asked, shape, strict=True))
 
 
 def centre(values: np.ndarray, sides: Sequence[int]) -> np.ndarray:
@@ -30,6 +26,11 @@ def centre(values: np.ndarray, sides: Sequence[int]) -> np.ndarray:
     return values[
         tuple(slice(first, first + side) for first, side in zip(starts, sides, strict=True))
     ]
+
+
+def centre_box(values: np.ndarray, side: int) -> np.ndarray:
+    """Return the centred box of an array of at most `side` voxels along every axis."""
+    return centre(values, box_sides(side, values.shape))
 
 
 def check_memory(need: int) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.measure.centre_crop import centre, clip_sides
+from trabecula.measure.centre_crop import centre_box
 from trabecula.measure.distance import distance_transform
 from trabecula.measure.labelling import label_components, labels_at_faces
 
@@ -37,7 +37,7 @@ def wall_phase(image: Image) -> int | None:
     """Return the label of the phase of a volume that is walls between closed cells; None where none
     is.
     """
-    values = centre(image.values, clip_sides((BOX,) * 3, image.values.shape))
+    values = centre_box(image.values, BOX)
     counts = {int(label): _whole_cells(values != label) for label in np.unique(values)}
     walls = [label for label in counts if counts[label] and thickening(values == label) <= _EVEN]
     return max(walls, key=lambda label: (counts[label], -label), default=None)

@@ -14,6 +14,7 @@ from trabecula.core.image import Image, as_image
 from trabecula.engine.lazy_volume import Slabs
 from trabecula.exemplar.margins import Margins, crop_margins, find_margins
 from trabecula.exemplar.segment import segment
+from trabecula.measure.centre_crop import centre_box
 from trabecula.measure.components import label_components
 from trabecula.measure.fabric import fabric
 from trabecula.measure.grey import grey_values
@@ -25,7 +26,6 @@ from trabecula.report.recommend import Recommendation, recommend
 from trabecula.report.stationarity import Stationarity, find_trends
 from trabecula.report.structure import (
     Structure,
-    centre_box,
     has_bodies,
     measure_structure,
     solid_field,

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trabecula.core.image import Image
+from trabecula.measure.centre_crop import centre_box
 from trabecula.measure.closed_cells import ALONE
 from trabecula.measure.grey import grey_values, near_one
 from trabecula.measure.labelling import label_components, labels_at_faces
@@ -80,12 +81,6 @@ def solid_field(image: Image, side: int | None = None) -> np.ndarray:
         return near_one(grey_values(Image(values, image.kind)))
     void = image.phases.index("void") if "void" in image.phases else 0
     return np.asarray(values != void)
-
-
-def centre_box(values: np.ndarray, side: int) -> np.ndarray:
-    """Return the box in the middle of at most `side` voxels an axis."""
-    starts = [max(0, (length - side) // 2) for length in values.shape]
-    return values[tuple(slice(start, start + side) for start in starts)]
 
 
 def measure_structure(image: Image) -> Structure:

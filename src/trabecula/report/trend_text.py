@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from trabecula.core.image import Image, with_values
 from trabecula.exemplar.margins import crop_margins
+from trabecula.measure.centre_crop import centre_box
 from trabecula.report.stationarity import Trend, find_trends
-from trabecula.report.structure import centre_box, lengths_along_axes
+from trabecula.report.structure import lengths_along_axes
 
 _ALONG = {
     "z": "along z",

@@ -16,7 +16,7 @@ from trabecula.core.image import Image, as_image, check_labels, with_values
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import one_blas_thread
 from trabecula.engine.rows import add_block
-from trabecula.measure.centre_crop import box_sides, centre, check_memory, clip_sides
+from trabecula.measure.centre_crop import box_sides, centre, centre_box, check_memory
 from trabecula.measure.mechanics.elements import brick_stiffness, isotropic, mean_strain
 from trabecula.measure.mechanics.lattice import LOADS, Cells, node_mask, voxel_cells
 from trabecula.measure.mechanics.solve import Solution, build_levels, solve
@@ -144,7 +144,7 @@ def stiffness(
     result = _stiffness(kind, materials, edges, tolerance)
     if not halving:
         return result
-    small = _halving_box(kind)
+    small = centre_box(kind, _HALVED_SIDE)
     coarse = result if small.shape == kind.shape else _stiffness(small, materials, edges, tolerance)
     split = small.repeat(2, axis=0).repeat(2, axis=1).repeat(2, axis=2)
     fine = _stiffness(split, materials, edges, tolerance)
@@ -198,13 +198,9 @@ def forecast_bytes(solid: np.ndarray, *, halving: bool = False) -> int:
     whole = one(solid, int(np.count_nonzero(node_mask(solid))))
     if not halving:
         return whole
-    small = _halving_box(solid)
+    small = centre_box(solid, _HALVED_SIDE)
     # Eight voxels for every one, and not even that many nodes for every node.
     return max(whole, 8 * one(small, int(np.count_nonzero(node_mask(small)))))
-
-
-def _halving_box(values: np.ndarray) -> np.ndarray:
-    return centre(values, clip_sides([_HALVED_SIDE] * 3, values.shape))
 
 
 def _stiffness(

@@ -13,7 +13,7 @@ import numpy as np
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.measure.centre_crop import box_sides, centre, check_memory, clip_sides
+from trabecula.measure.centre_crop import box_sides, centre, centre_box, check_memory
 from trabecula.measure.labelling import label_components
 from trabecula.measure.percolation import spanning_voxels
 from trabecula.measure.phases import as_axis
@@ -68,7 +68,7 @@ def effective(
     result = solver.solve(np.ascontiguousarray(cut), np.array(edges))
     if not halving or not 0.0 < result.value < math.inf:
         return result
-    small = centre(cut, clip_sides([HALVED] * 3, cut.shape))
+    small = centre_box(cut, HALVED)
     whole = solver.solve(np.ascontiguousarray(small), np.array(edges))
     if not 0.0 < whole.value < math.inf:
         return result
@@ -96,7 +96,7 @@ def forecast_bytes(carrying: np.ndarray, voxel_bytes: int, *, split: int = 0) ->
         return one(carrying)
     return max(
         one(carrying),
-        2**split * one(centre(carrying, clip_sides([HALVED] * carrying.ndim, carrying.shape))),
+        2**split * one(centre_box(carrying, HALVED)),
     )
 
 

@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from trabecula.core.progress import track
+from trabecula.measure.centre_crop import centre_box
 from trabecula.measure.correlation import decay_length
 from trabecula.synth.kopf.config import PROCESSES
 from trabecula.synth.kopf.processes import process_field
@@ -47,11 +48,7 @@ class Resemblance:
 
 def rank_processes(inside: np.ndarray) -> tuple[Resemblance, ...]:
     """Return how far a picture (Y, X) bool of both phases is from every process, nearest first."""
-    middle = tuple(
-        slice((side - min(side, _PICTURE)) // 2, (side + min(side, _PICTURE)) // 2)
-        for side in inside.shape
-    )
-    picture = np.ascontiguousarray(inside[middle])
+    picture = np.ascontiguousarray(centre_box(inside, _PICTURE))
     fraction = float(picture.mean())
     length = length_of(picture)
     wanted = slice_figures(picture, length)

@@ -10,7 +10,7 @@ import numpy as np
 
 from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
-from trabecula.exemplar.views import View, is_isotropic
+from trabecula.exemplar.views import View, is_isotropic, is_seen_alike
 from trabecula.measure.components import largest_fraction
 from trabecula.synth.kopf.nearest_process import (
     Resemblance,
@@ -19,7 +19,6 @@ from trabecula.synth.kopf.nearest_process import (
     rank_processes,
 )
 from trabecula.synth.kopf.processes import process_field
-from trabecula.synth.kopf.relative import is_seen_alike
 
 FARTHEST = 2.0
 """Distance from which on a picture resembles no process."""

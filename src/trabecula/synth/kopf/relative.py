@@ -15,7 +15,7 @@ import numpy as np
 
 from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
-from trabecula.exemplar.views import View
+from trabecula.exemplar.views import View, is_seen_alike
 from trabecula.fields.grid import resample_array
 from trabecula.measure.correlation import covariance_form, decay_length, two_point
 from trabecula.measure.distance import signed_distance
@@ -101,12 +101,6 @@ class AdaptedRelative:
         report = {**self.report, "fraction": {**self.report["fraction"], "asked": fraction}}
         image = _image_of(self.depth, fraction, present, self.image.phases)
         return replace(self, image=image, report=report)
-
-
-def is_seen_alike(views: Sequence[View]) -> bool:
-    """Return whether one picture is seen across all three axes, in cubic voxels."""
-    spacing = {edge for view in views for edge in view.image.spacing}
-    return len({view.picture for view in views}) == 1 and len(views) == 3 and len(spacing) == 1
 
 
 def adapt_relative(like: Image, views: Sequence[View], present: Sequence[int]) -> AdaptedRelative:

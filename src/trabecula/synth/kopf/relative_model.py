@@ -22,12 +22,7 @@ from trabecula.core.request import Request
 from trabecula.engine.memory import Stage
 from trabecula.exemplar.views import View
 from trabecula.synth.kopf.config import RelativeSettings
-from trabecula.synth.kopf.relative import (
-    AdaptedRelative,
-    SliceStatistics,
-    adapt_relative,
-    is_seen_alike,
-)
+from trabecula.synth.kopf.relative import AdaptedRelative, SliceStatistics, adapt_relative
 from trabecula.synth.shared import novel_layout
 from trabecula.synth.shared.content.fields import quantise
 from trabecula.synth.shared.content.kinds import Labels, content_of
@@ -35,10 +30,11 @@ from trabecula.synth.shared.content.phase_fractions import phases_of
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Stack
 from trabecula.synth.shared.novel_schedule import LEAST, Pass, passes, start_of
-from trabecula.synth.shared.patterns.counts import LEAST_VOXELS, Patterns
+from trabecula.synth.shared.patterns.counts import LEAST_VOXELS
 from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.flips import FlipRegion, pattern_stages
 from trabecula.synth.shared.patterns.labels import match_patterns, shares_of
+from trabecula.synth.shared.patterns.planes import PlanePatterns
 from trabecula.synth.shared.pyramid import fit_to, halve
 from trabecula.synth.shared.small_bodies import (
     SmallBodies,
@@ -64,7 +60,7 @@ class RelativeModel:
     schedule: tuple[Pass, ...]
     small: Mapping[int, SmallBodies]
     settings: RelativeSettings
-    patterns: PatternDensities | None = None
+    patterns: PatternDensities | PlanePatterns | None = None
 
     @classmethod
     def of(
@@ -74,16 +70,21 @@ class RelativeModel:
         present: Sequence[int],
         process: Mapping[str, Any] | None = None,
         fraction: float | None = None,
+        shown: PlanePatterns | None = None,
+        rounds: int = 0,
     ) -> RelativeModel:
         """Learn a relative; of that of a `process`, what is to stand in the report as well. With
         another `fraction` of the second phase than in the pictures its interface is shifted, and
         what the picture's statistics differ from its own stays as it was.
 
+        Voxels are flipped in the end, in so many `rounds`, towards the relative's patterns that
+        are nearest to those `shown`; of a process towards those that its volume ends with, which
+        are nearest to these, since its own bring no figure nearer to a scan's.
+
         A process keeps its own two-point function. Steps towards the picture's bring it no nearer
         (two slices of Berea, 96^3: relative l2 of the covariance .19 and .18, with them or without)
         and leave fringes, of which loops come (Euler density -226 and -328, without them -134 and
-        -174; the scan's is -70). Its voxels are not flipped in the end: that brings no figure
-        nearer to the scan's.
+        -174; the scan's is -70).
 
         Raises
         ------
@@ -94,6 +95,8 @@ class RelativeModel:
         if fraction is not None:
             adapted = adapted.at_fraction(fraction, present)
         settings = RelativeSettings() if process is None else RelativeSettings(layout="rounds")
+        if rounds:
+            settings = replace(settings, interface_rounds=rounds)
         start = start_of([adapted.image], settings.layout)
         schedule = passes(1.0, start, settings.layout)
         field = content_of([adapted.image]).fields(adapted.image)
@@ -107,10 +110,16 @@ class RelativeModel:
         small = {label: learn_small_bodies([adapted.image], label) for label in present}
         slices = novel_layout.slices_for([own], settings.layout)
         told = {**adapted.report, **(process or {})}
-        patterns = None
-        if process is None and adapted.image.values.size >= LEAST_VOXELS * 2**8:
-            shown = views if fraction is None else ()
-            patterns = _patterns_of(adapted.image, shown, present)
+        patterns: PatternDensities | PlanePatterns | None = None
+        if process is not None:
+            patterns = shown
+        elif adapted.image.values.size >= LEAST_VOXELS * 2**8:
+            order = tuple(present)
+            patterns = PatternDensities.of([phases_of(adapted.image.values, order)], 2)
+            if shown is not None:
+                patterns = shown.nearest_to(patterns)
+            elif fraction is None:
+                patterns = patterns.with_chords(PlanePatterns.of(views, order).chords)
         adapted = replace(adapted, report=told)
         return cls(adapted, tuple(aims), slices, schedule, small, settings, patterns)
 
@@ -158,9 +167,7 @@ class RelativeModel:
     def _match_patterns(
         self, values: np.ndarray, votes: np.ndarray, request: Request, content: Labels
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Return labels whose patterns are the relative's, with the chords of the pictures, and a
-        report.
-        """
+        """Return labels with the patterns of relative and pictures, and a report."""
         assert self.patterns is not None
         return match_patterns(
             values,
@@ -196,25 +203,6 @@ class RelativeModel:
         fields = sum(aim.stack.field.nbytes for aim in self.aims)
         held = sum(c.features.nbytes + 9 * c.allowed.nbytes for c in kept)
         return fields + held + (_LAYOUT_BYTES + 4) * self.adapted.image.values.size
-
-
-def _patterns_of(
-    relative: Image, views: Sequence[View], present: Sequence[int]
-) -> PatternDensities:
-    """Return the patterns of a relative; chords along an axis are those of the pictures that show
-    it.
-    """
-    order = tuple(present)
-    found = PatternDensities.of([phases_of(relative.values, order)], 2)
-    seen: list[list[np.ndarray]] = [[], [], []]
-    for view in views:
-        plane = np.ascontiguousarray(view.image.values)[None]
-        chords = Patterns.of(phases_of(plane, order), 2).chord_densities
-        for along, axis in enumerate(view.across):
-            seen[axis].append(chords[1 + along])
-    if is_seen_alike(views):
-        seen = [[chord for along in seen for chord in along]] * 3
-    return found.with_chords([np.mean(along, axis=0) if along else None for along in seen])
 
 
 def _aim_at_picture(

@@ -22,7 +22,7 @@ from trabecula.core.request import Request
 from trabecula.core.seeds import generator
 from trabecula.core.target import porosity_of
 from trabecula.exemplar.views import PLANES, View, as_axis, take_slices, views_of
-from trabecula.measure.centre_crop import centre, clip_sides
+from trabecula.measure.centre_crop import centre_box
 from trabecula.measure.closed_cells import BOX as CENTRE
 from trabecula.measure.closed_cells import BYTES as CENTRE_BYTES
 from trabecula.measure.closed_cells import thickening, wall_phase
@@ -418,7 +418,7 @@ def _solid_walls(
     """Return what the centre of a volume tells of its walls; None where it holds none, or nothing
     else.
     """
-    walls = centre(volume.values, clip_sides((CENTRE,) * 3, volume.values.shape)) == boundary
+    walls = centre_box(volume.values, CENTRE) == boundary
     return SolidWalls(thickening(walls), stretch) if 0 < walls.mean() < 1 else None
 
 

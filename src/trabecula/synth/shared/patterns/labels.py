@@ -10,17 +10,20 @@ from trabecula.core.request import Request
 from trabecula.synth.shared.content.fields import FULL, UNIT
 from trabecula.synth.shared.content.kinds import Labels, complete
 from trabecula.synth.shared.content.phase_fractions import labels_of_phases, phases_of
+from trabecula.synth.shared.patterns.counts import Patterns
 from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.flips import FlipRegion, flip_voxels
+from trabecula.synth.shared.patterns.planes import PlanePatterns
 
 
-def shares_of(patterns: PatternDensities | None) -> tuple[float, float]:
+def shares_of(patterns: PatternDensities | PlanePatterns | None) -> tuple[float, float]:
     """Return the parts of a run's time that go to its rounds and to what follows, flips towards
     patterns where there are any: balls take as long as all others.
     """
     if patterns is None:
         return 1.0, 0.0
-    return (0.65, 0.35) if patterns.bins.with_balls else (0.83, 0.17)
+    balls = isinstance(patterns, PatternDensities) and patterns.bins.with_balls
+    return (0.65, 0.35) if balls else (0.83, 0.17)
 
 
 def match_patterns(
@@ -28,7 +31,7 @@ def match_patterns(
     votes: np.ndarray,
     content: Labels,
     request: Request,
-    patterns: PatternDensities,
+    patterns: PatternDensities | PlanePatterns,
     place: FlipRegion,
     *,
     rounds: int,
@@ -43,12 +46,17 @@ def match_patterns(
     votes : (C, Z, Y, X) int16
         Fields that they were made of.
     patterns, place, rounds :
-        As `flip_voxels` takes them.
+        As `flip_voxels` takes them; of pictures those nearest to the patterns of the labels.
     clip : float
         Voxels at which the fields saturate.
     """
+    phases = phases_of(values, content.present)
+    if isinstance(patterns, PlanePatterns):
+        count = len(content.present)
+        made = Patterns.of(phases, count, wraps=place.wraps, valid=place.valid)
+        patterns = patterns.nearest_to(PatternDensities(made.bins, made.densities))
     phases, report = flip_voxels(
-        phases_of(values, content.present),
+        phases,
         votes,
         patterns,
         place,

@@ -17,6 +17,7 @@ _PRESETS: dict[str, dict[str, Any]] = {
         "rounds": (8, 16, 30),
         "histogram": False,
         "corrections": (0,),
+        "interface_rounds": 0,
         "search": "exact",
         "components": 128,
         "trim": 0,
@@ -28,6 +29,7 @@ _RANGES = {
     "levels": (1, 8),
     "first_rounds": (1, 200),
     "robustness": (0, 2),
+    "interface_rounds": (0, 10),
     "clip": (2, 20),
     "nearest": (1, 100),
     "tries": (0, 64),
@@ -87,6 +89,13 @@ class SolidConfig:
     corrections: tuple[int, ...] = (1,)
     """Steps towards the picture's two-point function after every round, for labels, finest level
     first, each 0 .. 10; the last counts for the rest. Beside fixed voxels there are none."""
+
+    interface_rounds: int = 2
+    """Of labels of two or three phases: rounds over the voxels of interfaces in the end, 0 .. 10,
+    in which single ones change their phase until chords and squares of pixels occur in the planes
+    as often as in the pictures, where the fractions are theirs. Recipes and models that do not
+    name it: 0.
+    """
 
     clip: float = 4.2
     """Signed distance of labels, or from a feature's rim, at which the field saturates, voxels,
@@ -149,7 +158,7 @@ class SolidConfig:
     @classmethod
     def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Complete the settings of a recipe or a model that is older than some of them."""
-        return {"feature": False, **settings}
+        return {"feature": False, "interface_rounds": 0, **settings}
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:

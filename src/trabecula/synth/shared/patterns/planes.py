@@ -1,0 +1,157 @@
+"""What pictures show of the patterns of a volume, and the patterns nearest to given ones that show
+it.
+
+A picture shows chords along its axes, and squares of 2 x 2 pixels: faces of the cubes of 2 x 2 x 2
+voxels. Of all densities of cubes that have these faces those are taken that are nearest to the
+given ones in relative entropy: faces are scaled in turn until all are met (Deming and Stephan 1940,
+doi:10.1214/aoms/1177731829; Csiszar 1975, doi:10.1214/aop/1176996454). Euler numbers, which no
+slice shows, stay those of the given ones, and so do neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trabecula.exemplar.views import View, is_seen_alike
+from trabecula.synth.shared.content.phase_fractions import phases_of
+from trabecula.synth.shared.orient import apply_symmetry, symmetries
+from trabecula.synth.shared.patterns.counts import LEAST_VOXELS, MOST_PHASES, Patterns
+from trabecula.synth.shared.patterns.densities import PatternDensities
+from trabecula.synth.shared.patterns.kernels import STRIDES
+
+_CORNERS = np.arange(8).reshape(2, 2, 2)
+_FACES = [
+    (axis, tuple(_CORNERS.take(1 - end, axis).ravel().tolist()))  # the corners that are not of it
+    for axis in range(3)
+    for end in range(2)
+]
+_ROUNDS = 60  # over all faces
+_NEVER = 1e-9  # density of cubes that do not occur
+_STEPS = 20  # of Newton's method, towards an Euler number
+
+
+@dataclass(frozen=True)
+class PlanePatterns:
+    """Densities that pictures show.
+
+    Attributes
+    ----------
+    phases : int
+    chords : three arrays (bins of an axis,), or None
+        Along every axis, None where no picture shows it.
+    squares : three arrays (strides, p, p, p, p), or None
+        Across every axis, None where no picture is seen across it: of the phases of the corners,
+        row by row.
+    """
+
+    phases: int
+    chords: tuple[np.ndarray | None, ...]
+    squares: tuple[np.ndarray | None, ...]
+
+    @classmethod
+    def of(
+        cls, views: Sequence[View], present: Sequence[int], orientations: str = "none"
+    ) -> PlanePatterns:
+        """Measure pictures of labels, turned and mirrored as far as a volume may be; one picture
+        that is seen across all axes in every way.
+        """
+        order = tuple(present)
+        which = "all" if is_seen_alike(views) else orientations
+        along: list[list[np.ndarray]] = [[], [], []]
+        squares: list[np.ndarray | None] = [None, None, None]
+        for view in views:
+            turns = symmetries(which, ndim=2, spacing=view.image.spacing)
+            plane = phases_of(np.ascontiguousarray(view.image.values)[None], order)
+            own = list(Patterns.of(plane, len(order)).chord_densities[1:])
+            if len({turn.axes for turn in turns}) > 1:
+                own = [np.mean(own, axis=0)] * 2
+            for chords, axis in zip(own, view.across, strict=True):
+                along[axis].append(chords)
+            corners = [apply_symmetry(np.arange(4).reshape(1, 2, 2), turn) for turn in turns]
+            found = [
+                np.mean([one.transpose(turned.ravel()) for turned in corners], axis=0)
+                for one in (count_squares(plane[0], len(order), stride) for stride in STRIDES)
+            ]
+            squares[view.axis] = np.array(found)
+        chords = tuple(np.mean(own, axis=0) if own else None for own in along)
+        return cls(len(order), chords, tuple(squares))
+
+    def nearest_to(self, given: PatternDensities) -> PatternDensities:
+        """Return the densities nearest to given ones that show what the pictures do."""
+        found, bins = given.with_chords(self.chords), given.bins
+        own, shape = found.own.copy(), (self.phases,) * 8
+        cubes = own[bins.cubes : bins.neighbours].reshape(len(STRIDES), bins.combinations)
+        euler = np.array([_by_corner(share, shape) for share in bins.euler])
+        for number, before in enumerate(cubes):
+            faces = [None if one is None else one[number] for one in self.squares]
+            kept = euler if STRIDES[number] == 1 else euler[:0]
+            cubes[number] = _by_code(with_faces(_by_corner(before, shape), faces, kept))
+        return replace(found, own=own)
+
+
+def are_told(views: Sequence[View], count: int) -> bool:
+    """Return whether pictures of so many phases are large enough to tell their squares."""
+    size = sum({view.picture: view.image.values.size for view in views}.values())
+    return count <= MOST_PHASES and size >= LEAST_VOXELS * count**4
+
+
+def count_squares(plane: np.ndarray, phases: int, stride: int) -> np.ndarray:
+    """Return the densities (p, p, p, p) of the phases of four pixels of (Y, X) uint8, `stride`
+    apart, row by row.
+    """
+    code = np.zeros([max(0, side - stride) for side in plane.shape], np.int64)
+    for row in range(2):
+        for column in range(2):
+            shifted = plane[stride * row :, stride * column :]
+            code = code * phases + shifted[: code.shape[0], : code.shape[1]]
+    counts = np.bincount(code.ravel(), minlength=phases**4)
+    return np.asarray(counts.reshape((phases,) * 4) / max(1, code.size))
+
+
+def with_faces(
+    cubes: np.ndarray, faces: Sequence[np.ndarray | None], kept: np.ndarray
+) -> np.ndarray:
+    """Return the densities (p,) * 8, by the phases of the corners, nearest to given ones whose
+    faces across every axis (p, p, p, p) are as asked and whose means of `kept` (n, *cubes) stay, as
+    far as they go with the faces: the last ones rather than the first.
+    """
+    asked = [(faces[axis], others) for axis, others in _FACES if faces[axis] is not None]
+    wanted = [float((share * cubes).sum()) for share in kept]
+    found = np.maximum(cubes, _NEVER)
+    found /= found.sum()
+    for _ in range(_ROUNDS):
+        for face, others in asked:
+            have = found.sum(axis=others)
+            found = found * np.expand_dims(face / np.maximum(have, _NEVER**2), others)
+        for share, mean in zip(kept, wanted, strict=True):
+            found = _with_mean(found, share, mean)
+    return found
+
+
+def _with_mean(cubes: np.ndarray, share: np.ndarray, wanted: float) -> np.ndarray:
+    """Return the densities nearest to given ones with a mean of a share."""
+    tilt = 0.0
+    for _ in range(_STEPS):
+        tilted = cubes * np.exp(tilt * share)
+        tilted /= tilted.sum()
+        mean = (tilted * share).sum()
+        spread = (tilted * share**2).sum() - mean**2
+        step = float(np.clip((wanted - mean) / max(spread, _NEVER**2), -1, 1))
+        tilt += step
+        if abs(step) < _NEVER:
+            break
+    return np.asarray(tilted)
+
+
+def _by_corner(codes: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return values (codes,) of cubes by the phases of their corners: the first is the lowest
+    digit of a code.
+    """
+    return codes.reshape(shape).transpose()
+
+
+def _by_code(corners: np.ndarray) -> np.ndarray:
+    return corners.transpose().ravel()
