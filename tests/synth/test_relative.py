@@ -11,6 +11,7 @@ from trabecula.exemplar.views import is_seen_alike, views_of
 from trabecula.measure.smooth import gaussian
 from trabecula.synth.kopf.relative import SliceStatistics, adapt_relative
 from trabecula.synth.kopf.relative_model import _move_target
+from trabecula.synth.shared.patterns.planes import PlanePatterns, count_squares
 from trabecula.synth.shared.statistics.pairs import DIAGONAL, LINES
 from trabecula.synth.shared.statistics.two_point import Correlations
 
@@ -175,3 +176,23 @@ def test_patterns_come_nearer_to_the_relatives(masked):
     assert report["off_after"] < 0.75 * report["off_before"]
     if masked:
         assert not made.values[~mask].any()
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("process", ["none", "gaussian"])
+def test_planes_beside_a_relative_are_the_pictures(process):
+    """Beside a smooth volume the interfaces of a rough picture are rough."""
+    rng = np.random.default_rng(4)
+    flat = material((3, 96, 96), 2.5, 0).values[1]
+    rough = np.where(gaussian(rng.normal(size=flat.shape), 0.7) > 0.65, 1 - flat, flat)
+    picture = tb.Image(rough.astype(np.uint8), "labels")
+    like = None if process != "none" else material((64, 64, 64), 2.5, 3)
+    given = {} if like is None else {"like": like}
+    aim = PlanePatterns.of(views_of([picture], ()), (0, 1))
+    off = []
+    for rounds in (0, 2):
+        model = tb.method("kopf", process=process, interface_rounds=rounds).fit(picture)
+        made = model.generate(40, seed=1, **given)
+        found = [count_squares(plane, 2, 1) for plane in made.values]
+        off.append(np.abs(np.mean(found, axis=0) - aim.squares[0][0]).sum())
+    assert off[1] < 0.6 * off[0]
