@@ -167,6 +167,12 @@ def test_chords_are_those_of_the_pictures_that_show_the_axis():
     np.testing.assert_array_equal(found.chords[1], shown[1])
     np.testing.assert_array_equal(found.chords[2], shown[2])
     np.testing.assert_allclose(found.squares[0][0], count_squares(long, 2, 1))
+    given = PatternDensities.of([blobs((40, 40, 40), 2.0, 1)], 2)
+    chords = [
+        one.own[: given.bins.cubes].reshape(3, -1) for one in (found.nearest_to(given), given)
+    ]
+    np.testing.assert_array_equal(chords[0][0], chords[1][0])
+    np.testing.assert_array_equal(chords[0][1:], shown[1:])
     alike = PlanePatterns.of(views_of([picture(plane)], ()), (0, 1))
     both = Patterns.of(plane[None], 2).chord_densities[1:].mean(axis=0)
     for own in alike.chords:
