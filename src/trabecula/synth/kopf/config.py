@@ -36,8 +36,8 @@ class KopfConfig(SolidConfig):
     process: str = "none"
     """Where one picture's third dimension comes from: "none", from its planes alone; "auto", from
     the process whose slices it resembles most (from the planes where it resembles none); or from
-    the process of this name. For two phases that are alike from all sides; other settings then
-    change nothing."""
+    the process of this name. For two phases that are alike from all sides; other settings but
+    `interface_rounds` then change nothing."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -151,9 +151,8 @@ class KopfModel(SolidModel):
         """
         known, fraction = self._learnt, self._asked_fraction(request)
         if known is None or known[0] is not like or known[1] != fraction:
+            shown, rounds = self.flips.shown_for(request), self.config.interface_rounds
             present = self._phases()[1]
-            shown = self._shown if self._matches_planes(request) else None
-            rounds = self.config.interface_rounds
             made = RelativeModel.of(like, self.views, present, process, fraction, shown, rounds)
             known = self._learnt = (like, fraction, made)
         return known[2]

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
-from trabecula.core.progress import track
+from trabecula.core.progress import part_of, track
 from trabecula.core.request import Request
 from trabecula.engine.memory import Array, Stage, forecast, resident, within
 from trabecula.exemplar.views import View, spacing_of
@@ -26,6 +27,8 @@ from trabecula.synth.shared.content.kinds import Content, content_of
 from trabecula.synth.shared.matching.principal_components import basis_bytes, principal_basis
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.orient import symmetries
+from trabecula.synth.shared.patterns.labels import shares_of
+from trabecula.synth.shared.patterns.picture_flips import PictureFlips
 from trabecula.synth.shared.pictures import PictureMethod, PictureModel
 from trabecula.synth.shared.pyramid import fit_to
 from trabecula.synth.shared.solid.method import PROCESS
@@ -109,6 +112,7 @@ class SlicedModel(PictureModel):
                 len(fields) == 1 and len(views) == 3 and max(spacing) <= min(spacing) * (1 + _SAME)
             )
             chosen = "all" if alone else "none"
+        self.flips = PictureFlips(views, self.content, chosen, config.interface_rounds, config.clip)
         pictures = Pictures(fields, views, chosen)
         width = max(config.neighbourhood, config.layout_width)
         smallest = min(min(view.image.shape) for view in views)
@@ -132,19 +136,28 @@ class SlicedModel(PictureModel):
     def _least(self) -> int:
         return max(_LEAST, self.config.neighbourhood, self.config.layout_width)
 
-    def make(self, request: Request) -> np.ndarray:
+    def make(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
         rounds = SlicedRounds(self, request, self._regions(request))
-        rounds.run()
+        shown = self.flips.shown_for(request)
+        shares = shares_of(shown)
+        with part_of(shares, 0):
+            rounds.run()
         rounds.work.enter("deliver")
-        return self._to_values(fit_to(rounds.work.take("votes"), request.shape), request)
+        votes = self._without_specks(fit_to(rounds.work.take("votes"), request.shape), request)
+        values = self.content.to_values(votes, request)
+        if shown is None:
+            return values
+        with part_of(shares, 1):
+            values, report = self.flips.flip(values, votes, shown, request)
+        return values, {"patterns": report}
 
-    def _to_values(self, votes: np.ndarray, request: Request) -> np.ndarray:
-        """Return the result's values from votes of its shape, without specks."""
-        if self.config.specks:
-            present = self.content.present  # type: ignore[attr-defined]
-            values = self.content.to_values
-            votes = remove_specks(votes, values(votes, request), present, self.config.specks)
-        return self.content.to_values(votes, request)
+    def _without_specks(self, votes: np.ndarray, request: Request) -> np.ndarray:
+        """Return votes of the result's shape that leave no specks."""
+        if not self.config.specks:
+            return votes
+        present = self.content.present  # type: ignore[attr-defined]
+        values = self.content.to_values(votes, request)
+        return remove_specks(votes, values, present, self.config.specks)
 
     def _top(self, request: Request) -> int:
         """Return the level that is laid out."""
@@ -214,6 +227,7 @@ class SlicedModel(PictureModel):
             *bound_stages(request, finest.channels, distances=True),
             *self.layout_stages(request, self._region(request, top)),
             *finest.stages(),
+            *self.flips.stages(request, finest.channels),
             *within({"votes with specks": specks}, result),
         )
 

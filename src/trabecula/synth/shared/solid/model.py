@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,15 +20,14 @@ from trabecula.core.request import Request
 from trabecula.engine.memory import Stage, Workspace, forecast, resident
 from trabecula.exemplar.views import View, spacing_of
 from trabecula.synth.shared.coarse_to_fine import at_level, levels_that_fit
-from trabecula.synth.shared.content.fields import FULL, channels_of, mean_edge, quantise
+from trabecula.synth.shared.content.fields import FULL, mean_edge, quantise
 from trabecula.synth.shared.content.histogram import Histogram
-from trabecula.synth.shared.content.kinds import Content, Labels, content_of, free_voxels
+from trabecula.synth.shared.content.kinds import Content, content_of
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
-from trabecula.synth.shared.patterns.flips import FlipRegion, pattern_stages
-from trabecula.synth.shared.patterns.labels import match_patterns, shares_of
-from trabecula.synth.shared.patterns.planes import PlanePatterns, are_told
+from trabecula.synth.shared.patterns.labels import shares_of
+from trabecula.synth.shared.patterns.picture_flips import PictureFlips
 from trabecula.synth.shared.pictures import PictureModel
 from trabecula.synth.shared.pyramid import fit_to, halve
 from trabecula.synth.shared.solid.config import SolidConfig
@@ -68,6 +66,9 @@ class SolidModel(PictureModel):
             histogram=config.histogram,
             unit=unit,
             rim=config.clip if config.feature else None,
+        )
+        self.flips = PictureFlips(
+            views, self.content, config.orientations, config.interface_rounds, config.clip
         )
         # Views of the same picture share all that is learnt from it.
         self.numbers = [
@@ -128,43 +129,18 @@ class SolidModel(PictureModel):
 
     def make(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
         rounds = self.rounds_type(self, request)
-        planes = self._shown if self._matches_planes(request) else None
-        shares = shares_of(planes)
+        shown = self.flips.shown_for(request)
+        shares = shares_of(shown)
         with part_of(shares, 0):
             rounds.run()
         rounds.work.enter("deliver")
-        if planes is None:
+        if shown is None:
             return self._to_values(rounds.work, request)
-        assert isinstance(self.content, Labels)  # only these have patterns
         votes = fit_to(rounds.work.take("votes"), request.shape)
         values = self.content.to_values(votes, request)
         with part_of(shares, 1):
-            values, report = match_patterns(
-                values,
-                votes,
-                self.content,
-                request,
-                planes,
-                FlipRegion(request.periodic, free_voxels(request), request.mask),
-                rounds=self.config.interface_rounds,
-                clip=self.config.clip,
-            )
+            values, report = self.flips.flip(values, votes, shown, request)
         return values, {"patterns": report}
-
-    def _matches_planes(self, request: Request) -> bool:
-        """Return whether single voxels change phase in the end: where the pictures are large enough
-        to tell their patterns, and no target or coarse scan asks for other fractions.
-        """
-        if not self.config.interface_rounds or not isinstance(self.content, Labels):
-            return False
-        other = bool(request.target) or request.coarse is not None
-        return not other and are_told(self.views, len(self.content.present))
-
-    @cached_property
-    def _shown(self) -> PlanePatterns:
-        """Measure the patterns of the pictures."""
-        assert isinstance(self.content, Labels)
-        return PlanePatterns.of(self.views, self.content.present, self.config.orientations)
 
     def _to_values(self, work: Workspace, request: Request) -> np.ndarray:
         """Return the result's values from the last votes."""
@@ -205,7 +181,7 @@ class SolidModel(PictureModel):
         return (
             *bound_stages(request, finest.channels, distances=distances),
             *finest.stages(),
-            *self._pattern_stages(request),
+            *self.flips.stages(request, finest.channels),
             *value_stages(
                 request,
                 finest.covered.shape,
@@ -214,12 +190,6 @@ class SolidModel(PictureModel):
                 distances=distances,
             ),
         )
-
-    def _pattern_stages(self, request: Request) -> tuple[Stage, ...]:
-        if not self._matches_planes(request):
-            return ()
-        free = request.mask is not None or request.fixed is not None
-        return pattern_stages(request.shape, channels_of(self.exemplars), free=free)
 
     def _fixed(self) -> dict[str, int]:
         """Return the bytes that do not depend on the request."""
