@@ -193,7 +193,10 @@ def test_small_pictures_and_many_phases_tell_nothing():
     assert are_told(large, 3) and not are_told(large, 4)
 
 
-@pytest.mark.parametrize("method", ["kopf", "chen", "sliced"])
+@pytest.mark.parametrize(
+    "method",
+    ["kopf", *(pytest.param(name, marks=pytest.mark.whole) for name in ("chen", "sliced"))],
+)
 def test_planes_come_nearer_to_the_picture(method):
     """Squares of a material with rough interfaces; the Euler density stays as it was."""
     rough = blobs((3, 80, 80), 1.0, 2)[1]
