@@ -92,17 +92,17 @@ def test_the_nearest_cubes_have_the_faces_and_the_means():
     given = rng.random((2,) * 8) ** 3
     given /= given.sum()
     faces = faces_of(mirrored(3))[::2]
-    kept = rng.normal(size=(2, *given.shape)) / 8
+    kept = rng.integers(-4, 4, (2, *given.shape))
     found = with_faces(given, faces, kept)
     for number, face in enumerate(faces_of(found)):
         np.testing.assert_allclose(face, faces[number // 2], atol=1e-6)
     for share in kept:
-        assert (share * found).sum() == pytest.approx((share * given).sum(), abs=1e-6)
+        assert (share * found).sum() == pytest.approx((share * given).sum(), abs=1e-5)
 
 
 def test_a_face_that_no_picture_shows_is_free():
     given, asked = mirrored(5), mirrored(6)
-    found = with_faces(given, [None, faces_of(asked)[2], None], np.zeros((0, *given.shape)))
+    found = with_faces(given, [None, faces_of(asked)[2], None], np.zeros((0, *given.shape), int))
     for number, face in enumerate(faces_of(found)):
         met = np.abs(face - faces_of(asked)[number]).max() < 1e-9
         assert met == (number in (2, 3))
@@ -112,7 +112,7 @@ def test_no_other_cubes_with_these_faces_are_nearer():
     """In relative entropy: moved in a direction that changes no face, it rises."""
     given = mirrored(4) ** 2
     given /= given.sum()
-    found = with_faces(given, faces_of(mirrored(5))[::2], np.zeros((0, *given.shape)))
+    found = with_faces(given, faces_of(mirrored(5))[::2], np.zeros((0, *given.shape), int))
 
     def entropy(cubes):
         return float((cubes * np.log(cubes / given)).sum())

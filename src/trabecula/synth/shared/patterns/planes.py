@@ -84,7 +84,8 @@ class PlanePatterns:
         found, bins = given.with_chords(self.chords), given.bins
         own, shape = found.own.copy(), (self.phases,) * 8
         cubes = own[bins.cubes : bins.neighbours].reshape(len(STRIDES), bins.combinations)
-        euler = np.array([_by_corner(share, shape) for share in bins.euler])
+        eighths = np.rint(8 * bins.euler).astype(np.int64)
+        euler = np.array([_by_corner(one, shape) for one in eighths])
         for number, before in enumerate(cubes):
             faces = [None if one is None else one[number] for one in self.squares]
             kept = euler if STRIDES[number] == 1 else euler[:0]
@@ -115,35 +116,41 @@ def with_faces(
     cubes: np.ndarray, faces: Sequence[np.ndarray | None], kept: np.ndarray
 ) -> np.ndarray:
     """Return the densities (p,) * 8, by the phases of the corners, nearest to given ones whose
-    faces across every axis (p, p, p, p) are as asked and whose means of `kept` (n, *cubes) stay, as
-    far as they go with the faces: the last ones rather than the first.
+    faces across every axis (p, p, p, p) are as asked and whose means of whole counts `kept` (n,
+    *cubes) stay, as far as they go with the faces: the last ones rather than the first.
     """
     asked = [(faces[axis], others) for axis, others in _FACES if faces[axis] is not None]
-    wanted = [float((share * cubes).sum()) for share in kept]
+    wanted = [float((counts * cubes).sum()) for counts in kept]
     found = np.maximum(cubes, _NEVER)
     found /= found.sum()
     for _ in range(_ROUNDS):
         for face, others in asked:
             have = found.sum(axis=others)
             found = found * np.expand_dims(face / np.maximum(have, _NEVER**2), others)
-        for share, mean in zip(kept, wanted, strict=True):
-            found = _with_mean(found, share, mean)
+        for counts, mean in zip(kept, wanted, strict=True):
+            found = _with_mean(found, counts, mean)
     return found
 
 
-def _with_mean(cubes: np.ndarray, share: np.ndarray, wanted: float) -> np.ndarray:
-    """Return the densities nearest to given ones with a mean of a share."""
-    tilt = 0.0
+def _with_mean(cubes: np.ndarray, counts: np.ndarray, wanted: float) -> np.ndarray:
+    """Return the densities nearest to given ones with a mean of whole counts: each is multiplied by
+    one factor as often as its count says.
+
+    By products alone: the last bits of an exponential differ between processors, and with them
+    voxels would.
+    """
+    least, factor = int(counts.min()), 1.0
     for _ in range(_STEPS):
-        tilted = cubes * np.exp(tilt * share)
-        tilted /= tilted.sum()
-        mean = (tilted * share).sum()
-        spread = (tilted * share**2).sum() - mean**2
-        step = float(np.clip((wanted - mean) / max(spread, _NEVER**2), -1, 1))
-        tilt += step
+        powers = np.cumprod([1.0, *[factor] * (int(counts.max()) - least)])
+        found = cubes * powers[counts - least]
+        found /= found.sum()
+        mean = (found * counts).sum()
+        spread = (found * counts**2).sum() - mean**2
+        step = float(np.clip((wanted - mean) / max(spread, _NEVER**2), -0.5, 0.5))
+        factor *= 1 + step
         if abs(step) < _NEVER:
             break
-    return np.asarray(tilted)
+    return np.asarray(found)
 
 
 def _by_corner(codes: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
