@@ -182,7 +182,7 @@ def test_chords_are_those_of_the_pictures_that_show_the_axis():
         np.testing.assert_allclose(own, both)
     for own in alike.squares:
         np.testing.assert_allclose(own, own.transpose(0, 1, 3, 2, 4))
-        np.testing.assert_allclose(own, own[:, ::1].transpose(0, 2, 1, 4, 3))
+        np.testing.assert_allclose(own, own.transpose(0, 2, 1, 4, 3))
 
 
 def test_small_pictures_and_many_phases_tell_nothing():

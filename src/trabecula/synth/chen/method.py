@@ -8,7 +8,8 @@ and cost more as a source.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -90,7 +91,9 @@ class ChenModel(SolidModel):
         """Return whether voxels become pixels of the pictures."""
         return self.config.discrete
 
-    def _to_values(self, work: Workspace, request: Request) -> np.ndarray:
+    def _to_values(
+        self, work: Workspace, request: Request
+    ) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
         """Return the pixels' own grey values and colours: matching channel by channel would make
         new colours.
         """

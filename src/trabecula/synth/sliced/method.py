@@ -17,7 +17,7 @@ import numpy as np
 
 from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
-from trabecula.core.progress import part_of, track
+from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.engine.memory import Array, Stage, forecast, resident, within
 from trabecula.exemplar.views import View, spacing_of
@@ -27,7 +27,6 @@ from trabecula.synth.shared.content.kinds import Content, content_of
 from trabecula.synth.shared.matching.principal_components import basis_bytes, principal_basis
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.orient import symmetries
-from trabecula.synth.shared.patterns.labels import shares_of
 from trabecula.synth.shared.patterns.picture_flips import PictureFlips
 from trabecula.synth.shared.pictures import PictureMethod, PictureModel
 from trabecula.synth.shared.pyramid import fit_to
@@ -138,18 +137,11 @@ class SlicedModel(PictureModel):
 
     def make(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
         rounds = SlicedRounds(self, request, self._regions(request))
-        shown = self.flips.shown_for(request)
-        shares = shares_of(shown)
-        with part_of(shares, 0):
+        with self.flips.part_of_run(request, 0):
             rounds.run()
         rounds.work.enter("deliver")
-        votes = self._without_specks(fit_to(rounds.work.take("votes"), request.shape), request)
-        values = self.content.to_values(votes, request)
-        if shown is None:
-            return values
-        with part_of(shares, 1):
-            values, report = self.flips.flip(values, votes, shown, request)
-        return values, {"patterns": report}
+        votes = fit_to(rounds.work.take("votes"), request.shape)
+        return self.flips.finish(self._without_specks(votes, request), request)
 
     def _without_specks(self, votes: np.ndarray, request: Request) -> np.ndarray:
         """Return votes of the result's shape that leave no specks."""

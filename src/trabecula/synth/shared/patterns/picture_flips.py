@@ -5,18 +5,20 @@ occur in the planes as often as in the pictures.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from trabecula.core.progress import part_of
 from trabecula.core.request import Request
 from trabecula.engine.memory import Stage
 from trabecula.exemplar.views import View
 from trabecula.synth.shared.content.kinds import Content, Labels, free_voxels
 from trabecula.synth.shared.patterns.flips import FlipRegion, pattern_stages
-from trabecula.synth.shared.patterns.labels import match_patterns
+from trabecula.synth.shared.patterns.labels import match_patterns, shares_of
 from trabecula.synth.shared.patterns.planes import PlanePatterns, are_told
 
 
@@ -58,23 +60,32 @@ class PictureFlips:
         assert isinstance(self.content, Labels)
         return PlanePatterns.of(self.views, self.content.present, self.orientations)
 
-    def flip(
-        self, values: np.ndarray, votes: np.ndarray, shown: PlanePatterns, request: Request
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Return labels of a request with the patterns that are shown, and a report; values and
-        votes as `match_patterns` takes them.
+    def part_of_run(self, request: Request, place: int) -> AbstractContextManager[None]:
+        """Count what runs inside the block as the rounds of a run (0), or as what follows (1)."""
+        return part_of(shares_of(self.shown_for(request)), place)
+
+    def finish(
+        self, votes: np.ndarray, request: Request
+    ) -> np.ndarray | tuple[np.ndarray, dict[str, Any]]:
+        """Return the values of a request from its last votes (C, Z, Y, X) int16; where voxels flip,
+        a report as well.
         """
+        values, shown = self.content.to_values(votes, request), self.shown_for(request)
+        if shown is None:
+            return values
         assert isinstance(self.content, Labels)
-        return match_patterns(
-            values,
-            votes,
-            self.content,
-            request,
-            shown,
-            FlipRegion(request.periodic, free_voxels(request), request.mask),
-            rounds=self.rounds,
-            clip=self.clip,
-        )
+        with self.part_of_run(request, 1):
+            values, report = match_patterns(
+                values,
+                votes,
+                self.content,
+                request,
+                shown,
+                FlipRegion(request.periodic, free_voxels(request), request.mask),
+                rounds=self.rounds,
+                clip=self.clip,
+            )
+        return values, {"patterns": report}
 
     def stages(self, request: Request, channels: int) -> tuple[Stage, ...]:
         """Declare the arrays of the flips of a request."""

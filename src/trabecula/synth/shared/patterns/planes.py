@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trabecula.core.image import Image
 from trabecula.exemplar.views import View, is_seen_alike
 from trabecula.synth.shared.content.phase_fractions import phases_of
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
@@ -62,20 +63,12 @@ class PlanePatterns:
         which = "all" if is_seen_alike(views) else orientations
         along: list[list[np.ndarray]] = [[], [], []]
         squares: list[np.ndarray | None] = [None, None, None]
+        images = {id(view.image): view.image for view in views}  # one may be seen in all planes
+        measured = {n: _measure(image, order, which) for n, image in images.items()}
         for view in views:
-            turns = symmetries(which, ndim=2, spacing=view.image.spacing)
-            plane = phases_of(np.ascontiguousarray(view.image.values)[None], order)
-            own = list(Patterns.of(plane, len(order)).chord_densities[1:])
-            if len({turn.axes for turn in turns}) > 1:
-                own = [np.mean(own, axis=0)] * 2
-            for chords, axis in zip(own, view.across, strict=True):
-                along[axis].append(chords)
-            corners = [apply_symmetry(np.arange(4).reshape(1, 2, 2), turn) for turn in turns]
-            found = [
-                np.mean([one.transpose(turned.ravel()) for turned in corners], axis=0)
-                for one in (count_squares(plane[0], len(order), stride) for stride in STRIDES)
-            ]
-            squares[view.axis] = np.array(found)
+            own, squares[view.axis] = measured[id(view.image)]
+            for line, axis in zip(own, view.across, strict=True):
+                along[axis].append(line)
         chords = tuple(np.mean(own, axis=0) if own else None for own in along)
         return cls(len(order), chords, tuple(squares))
 
@@ -91,6 +84,23 @@ class PlanePatterns:
             kept = euler if STRIDES[number] == 1 else euler[:0]
             cubes[number] = _by_code(with_faces(_by_corner(before, shape), faces, kept))
         return replace(found, own=own)
+
+
+def _measure(
+    image: Image, order: tuple[int, ...], which: str
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return the chords along rows and along columns of a picture, and its squares of all strides,
+    means over its symmetries.
+    """
+    turns = symmetries(which, ndim=2, spacing=image.spacing)
+    plane = phases_of(np.ascontiguousarray(image.values)[None], order)
+    chords = list(Patterns.of(plane, len(order)).chord_densities[1:])
+    if len({turn.axes for turn in turns}) > 1:
+        chords = [np.mean(chords, axis=0)] * 2
+    corners = [apply_symmetry(np.arange(4).reshape(1, 2, 2), turn).ravel() for turn in turns]
+    counted = [count_squares(plane[0], len(order), stride) for stride in STRIDES]
+    squares = [np.mean([one.transpose(turned) for turned in corners], axis=0) for one in counted]
+    return chords, np.array(squares)
 
 
 def are_told(views: Sequence[View], count: int) -> bool:

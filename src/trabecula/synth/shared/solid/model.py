@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.core.progress import part_of, track
+from trabecula.core.progress import track
 from trabecula.core.request import Request
 from trabecula.engine.memory import Stage, Workspace, forecast, resident
 from trabecula.exemplar.views import View, spacing_of
@@ -26,7 +26,6 @@ from trabecula.synth.shared.content.kinds import Content, content_of
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
-from trabecula.synth.shared.patterns.labels import shares_of
 from trabecula.synth.shared.patterns.picture_flips import PictureFlips
 from trabecula.synth.shared.pictures import PictureModel
 from trabecula.synth.shared.pyramid import fit_to, halve
@@ -129,22 +128,16 @@ class SolidModel(PictureModel):
 
     def make(self, request: Request) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
         rounds = self.rounds_type(self, request)
-        shown = self.flips.shown_for(request)
-        shares = shares_of(shown)
-        with part_of(shares, 0):
+        with self.flips.part_of_run(request, 0):
             rounds.run()
         rounds.work.enter("deliver")
-        if shown is None:
-            return self._to_values(rounds.work, request)
-        votes = fit_to(rounds.work.take("votes"), request.shape)
-        values = self.content.to_values(votes, request)
-        with part_of(shares, 1):
-            values, report = self.flips.flip(values, votes, shown, request)
-        return values, {"patterns": report}
+        return self._to_values(rounds.work, request)
 
-    def _to_values(self, work: Workspace, request: Request) -> np.ndarray:
-        """Return the result's values from the last votes."""
-        return self.content.to_values(fit_to(work.take("votes"), request.shape), request)
+    def _to_values(
+        self, work: Workspace, request: Request
+    ) -> np.ndarray | tuple[np.ndarray, Mapping[str, Any]]:
+        """Return the result's values from the last votes, and a report where voxels flip."""
+        return self.flips.finish(fit_to(work.take("votes"), request.shape), request)
 
     def memory(self, request: Request) -> Mapping[str, int]:
         return forecast(self._stages(request), self._fixed()).memory
