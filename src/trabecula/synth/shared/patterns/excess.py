@@ -10,10 +10,14 @@ import numpy as np
 from trabecula.engine.chunking import Box
 from trabecula.engine.parallel import for_slabs
 
-CELL = 10
+CELL = 5
 """Voxels a side of what meets its fraction where a target varies."""
 
-_KEPT, _MET = 0.02, 0.1  # prices: cells that are to change must be worth it
+SHARINGS = 6
+"""Times that what windows are off is shared: more bring them nearer, and leave interfaces rougher."""
+
+_KEPT = 0.02  # price of a voxel
+_MET = 100.0  # of one in a cell of one voxel that is to change: a large cell is off by more of them
 
 
 class FractionCells(NamedTuple):
@@ -43,7 +47,7 @@ def kept_cells(shape: Sequence[int], phases: int, width: int) -> FractionCells:
 def cells_of(excess: np.ndarray, box: Box, width: int = CELL) -> FractionCells:
     """Return the cells of a block of a volume whose excess is `excess_of`."""
     inside = tuple(slice(first // width, -(-last // width)) for first, last in box)
-    return FractionCells(width, excess[inside].copy(), _MET)
+    return FractionCells(width, excess[inside].copy(), _MET / width**3)
 
 
 def excess_of(
@@ -60,7 +64,8 @@ def excess_of(
 
     A cell takes its part of what the windows that hold it are off, since in a window fractions vary
     from cell to cell as they do in the material: by its voxels at interfaces, since no others can
-    change. In all they have as many too many as there are.
+    change. What windows are off with that is shared again, as Landweber (1951,
+    doi:10.2307/2372313) solves such sums. In all they have as many too many as there are.
 
     Parameters
     ----------
@@ -89,7 +94,9 @@ def excess_of(
     layers = np.arange(0, depth, width)
     off, room = (np.add.reduceat(one, layers, axis=0) for one in (off, room))
     given = (window / width, wraps)
-    share = _spread(off, *given) / np.maximum(_spread(room, *given), 1)
+    around, share = np.maximum(_spread(room, *given), 1), np.zeros_like(off)
+    for _ in range(SHARINGS):  # each time what the shares of before leave
+        share += _spread(off - share * room, *given) / around
     # a cell at a face is in fewer windows, in which it counts more: so the sum is another
     share += np.sum(off - share * room) / max(room.sum(), 1)
     second = np.rint(share * room).astype(np.int64)

@@ -71,7 +71,7 @@ class FlipRegion:
     valid: np.ndarray | None = None
     graded: bool = False
     fractions: np.ndarray | None = None
-    window: int = 2 * CELL
+    window: int = 4 * CELL
 
     @property
     def fixed(self) -> np.ndarray | None:
