@@ -13,11 +13,10 @@ from trabecula.engine.parallel import for_slabs
 CELL = 5
 """Voxels a side of what meets its fraction where a target varies."""
 
-SHARINGS = 6
+SHARINGS = 8
 """Times that what windows are off is shared: more bring them nearer, and leave interfaces rougher."""
 
-_KEPT = 0.02  # price of a voxel
-_MET = 100.0  # of one in a cell of one voxel that is to change: a large cell is off by more of them
+_KEPT, _MET = 0.02, 0.1  # prices: cells that are to change must be worth it
 
 
 class FractionCells(NamedTuple):
@@ -47,7 +46,7 @@ def kept_cells(shape: Sequence[int], phases: int, width: int) -> FractionCells:
 def cells_of(excess: np.ndarray, box: Box, width: int = CELL) -> FractionCells:
     """Return the cells of a block of a volume whose excess is `excess_of`."""
     inside = tuple(slice(first // width, -(-last // width)) for first, last in box)
-    return FractionCells(width, excess[inside].copy(), _MET / width**3)
+    return FractionCells(width, excess[inside].copy(), _MET)
 
 
 def excess_of(
