@@ -14,7 +14,9 @@ CELL = 5
 """Voxels a side of what meets its fraction where a target varies."""
 
 SHARINGS = 8
-"""Times that what windows are off is shared: more bring them nearer, and leave interfaces rougher."""
+"""Times that what windows are off is shared: more bring them nearer, and leave interfaces
+rougher.
+"""
 
 _KEPT, _MET = 0.02, 0.1  # prices: cells that are to change must be worth it
 
@@ -30,23 +32,26 @@ class FractionCells(NamedTuple):
         How many voxels a cell has too many of a phase.
     price : float
         Of one voxel, by the square.
+    whole : float
+        The same of what the block as a whole has too many: small cells gain less than others lose.
     """
 
     width: int
     gained: np.ndarray
     price: float
+    whole: float
 
 
 def kept_cells(shape: Sequence[int], phases: int, width: int) -> FractionCells:
     """Return cells of a block that keep their fractions."""
     sides = [-(-side // width) for side in shape]
-    return FractionCells(width, np.zeros([*sides, phases], np.int64), _KEPT)
+    return FractionCells(width, np.zeros([*sides, phases], np.int64), _KEPT, 0.0)
 
 
 def cells_of(excess: np.ndarray, box: Box, width: int = CELL) -> FractionCells:
     """Return the cells of a block of a volume whose excess is `excess_of`."""
     inside = tuple(slice(first // width, -(-last // width)) for first, last in box)
-    return FractionCells(width, excess[inside].copy(), _MET)
+    return FractionCells(width, excess[inside].copy(), _MET, _MET)
 
 
 def excess_of(
@@ -77,7 +82,7 @@ def excess_of(
     window, width : int
         Voxels a side of windows, and of cells.
     wraps : three bools
-        Axes along which windows continue at the opposite face.
+        Axes along which windows and interfaces continue at the opposite face.
     """
     depth, *rest = phases.shape
     planes = (depth, *(-(-side // width) for side in rest))
@@ -87,7 +92,7 @@ def excess_of(
         for z in range(start, stop):
             there = np.ones(phases[z].shape, np.float32) if free is None else free[z]
             off[z] = _sums(((phases[z] == 1) - fractions[z]) * there, width)
-            room[z] = _sums(_at_interfaces(phases, z) * there, width)
+            room[z] = _sums(_at_interfaces(phases, z, wraps) * there, width)
 
     for_slabs(work, depth)
     layers = np.arange(0, depth, width)
@@ -102,17 +107,21 @@ def excess_of(
     return np.stack([-second, second], axis=-1)
 
 
-def _at_interfaces(phases: np.ndarray, z: int) -> np.ndarray:
+def _at_interfaces(phases: np.ndarray, z: int, wraps: Sequence[bool]) -> np.ndarray:
     """Return the voxels of a plane that have a neighbour of another phase along an axis: (Y, X)."""
-    plane = phases[z]
+    plane, depth = phases[z], len(phases)
     found = np.zeros(plane.shape, bool)
     for near in (z - 1, z + 1):
-        if 0 <= near < len(phases):
-            found |= phases[near] != plane
-    for lines, of in ((found, plane), (found.T, plane.T)):
+        if wraps[0] or 0 <= near < depth:
+            found |= phases[near % depth] != plane
+    for lines, of, endless in ((found, plane, wraps[1]), (found.T, plane.T, wraps[2])):
         differ = of[1:] != of[:-1]
         lines[1:] |= differ
         lines[:-1] |= differ
+        if endless:
+            differ = of[0] != of[-1]
+            lines[0] |= differ
+            lines[-1] |= differ
     return found
 
 

@@ -189,7 +189,7 @@ def flip_block(
     change,
 ):
     """Change voxels of the block where that brings patterns nearer to their target, each once, in
-    random order. Return how many. `cells` are width, excess and price of `FractionCells`: changes
+    random order. Return how many. `cells` are what `FractionCells` holds: changes
     bring no phase of a cell above what it is to have, nor of the block.
 
     `slopes` (bins, 2) hold twice the misfit times its weight, and the weight, of the block's share,
@@ -215,7 +215,8 @@ def flip_block(
     loops = np.zeros(len(euler), np.float64)
     done, was = np.empty(len(spots), np.int64), np.empty(len(spots), np.uint8)
     now, height, width = 0, local.shape[1], local.shape[2]
-    side, gained, price = cells
+    side, gained, price, whole_price = cells
+    whole = _sum_cells(gained)
     cubes = 3 * phases * CHORDS
     combinations = powers[7] * phases
     for n in range(len(spots)):
@@ -231,6 +232,7 @@ def flip_block(
         count = _changes(local, around, z, y, x, new, phases, powers, grid, bins, by)
         more = _gained(gained, side, z, y, x)
         energy = 2.0 * price * (more[new] - more[own] + 1)
+        energy += 2.0 * whole_price * (whole[new] - whole[own] + 1)
         energy += effort * _depth(votes[:, at_z, at_y, at_x], own, new, level)
         loops[:] = 0
         for k in range(count):
@@ -255,6 +257,8 @@ def flip_block(
         now += 1
         more[new] += 1
         more[own] -= 1
+        whole[new] += 1
+        whole[own] -= 1
         for k in range(count):
             change[bins[k]] += by[k]
             slopes[bins[k], 0] += 2 * slopes[bins[k], 1] * by[k]
@@ -262,12 +266,19 @@ def flip_block(
             euler_misfit[e] += loops[e]
     given = (local, around, phases, powers, grid, bins, by, change, done[:now], was[:now])
     left = now - _undo(given, gained, side)
-    whole = np.zeros((1, 1, 1, phases), np.int64)
+    all_of_it = _sum_cells(gained).reshape(1, 1, 1, phases)
+    return left - _undo(given, all_of_it, local.size)
+
+
+@inline
+def _sum_cells(gained):
+    """Return the sums (phases,) over cells."""
+    found = np.zeros(gained.shape[3], np.int64)
     for z in range(gained.shape[0]):
         for y in range(gained.shape[1]):
             for x in range(gained.shape[2]):
-                add_row(whole[0, 0, 0], gained[z, y, x])
-    return left - _undo(given, whole, local.size)
+                add_row(found, gained[z, y, x])
+    return found
 
 
 @inline
