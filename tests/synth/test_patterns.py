@@ -498,3 +498,14 @@ def test_where_the_target_varies_the_whole_has_its_fraction(depth):
     made, _ = flip_voxels(phases, votes, patterns, place, seed=1, rounds=2, unit=UNIT)
     assert np.count_nonzero(made != phases) > 100
     assert made.mean() == pytest.approx(phases.mean(), abs=2e-4)
+
+
+def test_where_the_target_varies_a_block_that_is_to_gain_does():
+    """Its cells have little room each: the whole has a price of its own."""
+    shape = (40, 40, 80)
+    phases, votes = blobs(0, shape)
+    patterns = learn(grainy(blobs(1, (60, 60, 60))[0], 2, 0.2))
+    ramp = phases.mean() * np.linspace(0.5, 1.5, shape[2]) + 0.03
+    place = FlipRegion(fractions=np.broadcast_to(ramp, shape).astype(np.float32))
+    made, _ = flip_voxels(phases, votes, patterns, place, seed=1, rounds=2, unit=UNIT)
+    assert made.mean() == pytest.approx(ramp.mean(), abs=1e-3)  # .004 less without

@@ -51,7 +51,7 @@ def kept_cells(shape: Sequence[int], phases: int, width: int) -> FractionCells:
 def cells_of(excess: np.ndarray, box: Box, width: int = CELL) -> FractionCells:
     """Return the cells of a block of a volume whose excess is `excess_of`."""
     inside = tuple(slice(first // width, -(-last // width)) for first, last in box)
-    return FractionCells(width, excess[inside].copy(), _MET, _MET)
+    return FractionCells(width, excess[inside].copy(), _MET, _KEPT)
 
 
 def excess_of(
