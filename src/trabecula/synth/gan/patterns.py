@@ -17,6 +17,7 @@ from trabecula.synth.gan.decode import Flips, Given, decode, make_tiles
 from trabecula.synth.gan.local_fractions import LocalFractions
 from trabecula.synth.shared.content.fields import UNIT
 from trabecula.synth.shared.content.phase_fractions import places_of
+from trabecula.synth.shared.local_offset import NARROWEST
 from trabecula.synth.shared.patterns.bias import PatternBias
 from trabecula.synth.shared.patterns.counts import LEAST_VOXELS, MOST_PHASES
 from trabecula.synth.shared.patterns.excess import cells_of, excess_of
@@ -32,7 +33,7 @@ _WINDOW = 64  # of the parts of both that tell how patterns change with the frac
 _SLOPE = 2  # voxels over the field tanh(voxels / 2), next to an interface
 _PREFIX = "patterns."
 _AROUND = 16  # voxels around a tile that tell what it has too much of
-_HELD_CELL, _HELD = 8, 20  # voxels a side of cells and of windows that a target holds
+_HELD_CELL = 8  # voxels a side of cells that a target holds
 
 Wanted = Callable[[tuple[int, ...], int], np.ndarray]
 """Returns the fractions (Z, Y, X) of the second of two phases that a target has in a tile of the
@@ -122,7 +123,7 @@ def make_flips(
         phases, cells = places[values], None
         if wanted is not None:
             off = excess_of(
-                phases[inner], wanted(tile, _AROUND), None, window=_HELD, width=_HELD_CELL
+                phases[inner], wanted(tile, _AROUND), None, window=NARROWEST, width=_HELD_CELL
             )
             core = ((_AROUND, _AROUND + field.shape[1]),) * 3
             cells = cells_of(off, core, _HELD_CELL)

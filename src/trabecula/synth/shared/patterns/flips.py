@@ -31,9 +31,10 @@ from trabecula.engine import memmap
 from trabecula.engine.chunking import Box, boxes_of, slices_of
 from trabecula.engine.memory import Array, Stage
 from trabecula.engine.parallel import thread_count
+from trabecula.synth.shared.local_offset import NARROWEST
 from trabecula.synth.shared.patterns.counts import BLOCK, Patterns, cut_out, for_blocks
 from trabecula.synth.shared.patterns.densities import PatternDensities
-from trabecula.synth.shared.patterns.excess import CELL, cells_of, excess_of, kept_cells
+from trabecula.synth.shared.patterns.excess import cells_of, excess_of, kept_cells
 from trabecula.synth.shared.patterns.kernels import MARGIN, flip_block
 from trabecula.synth.shared.patterns.misfit import EFFORT, Misfit, steps_around
 from trabecula.synth.shared.slabs import tally_by_slabs
@@ -71,7 +72,7 @@ class FlipRegion:
     valid: np.ndarray | None = None
     graded: bool = False
     fractions: np.ndarray | None = None
-    window: int = 4 * CELL
+    window: int = NARROWEST
 
     @property
     def fixed(self) -> np.ndarray | None:

@@ -189,8 +189,8 @@ def flip_block(
     change,
 ):
     """Change voxels of the block where that brings patterns nearer to their target, each once, in
-    random order. Return how many. `cells` are what `FractionCells` holds: changes
-    bring no phase of a cell above what it is to have, nor of the block.
+    random order. Return how many. `cells` are what `FractionCells` holds: changes bring no phase of
+    a cell above what it is to have, nor of the block.
 
     `slopes` (bins, 2) hold twice the misfit times its weight, and the weight, of the block's share,
     as what follows does of Euler numbers. They and the local array follow, and `change` (bins,) of
