@@ -19,7 +19,7 @@ from trabecula.synth.shared.patterns.counts import Bins
 from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.excess import FractionCells, kept_cells
 from trabecula.synth.shared.patterns.kernels import MARGIN, flip_block
-from trabecula.synth.shared.patterns.misfit import EFFORT, Misfit, steps_around
+from trabecula.synth.shared.patterns.misfit import EFFORT, Misfit, VotePrice, steps_around
 
 _ROUNDS = 3  # of measuring what is still off: flips fall short of what they are asked for
 _EVERYWHERE = np.empty((0, 0, 0), bool)
@@ -124,15 +124,11 @@ class PatternBias:
             local,
             phases,
             _EVERYWHERE,
-            np.ascontiguousarray(votes),
-            level,
-            EFFORT / unit,
-            key,
-            0,
-            self.wanted.bins.balls,
-            *misfit.of_block(1.0),
+            VotePrice(np.ascontiguousarray(votes), level, EFFORT / unit),
+            (key, 0),
+            misfit.of_block(1.0),
             steps_around(local.shape),
-            tuple(cells),
+            cells,
             np.zeros(self.wanted.bins.total, np.int64),
         )
         return core

@@ -36,7 +36,7 @@ from trabecula.synth.shared.patterns.counts import BLOCK, Patterns, cut_out, for
 from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.excess import cells_of, excess_of, kept_cells
 from trabecula.synth.shared.patterns.kernels import MARGIN, flip_block
-from trabecula.synth.shared.patterns.misfit import EFFORT, Misfit, steps_around
+from trabecula.synth.shared.patterns.misfit import EFFORT, Misfit, VotePrice, steps_around
 from trabecula.synth.shared.slabs import tally_by_slabs
 
 _BANDS, _BLOCKS = 6, 8  # bands of a target that varies, at most, and blocks of each, at least
@@ -213,23 +213,15 @@ def _round(
             cells = kept_cells(local[core].shape, band.bins.phases, BLOCK)
         else:
             cells = cells_of(excess, box)
-        slopes, euler, euler_off, euler_weights = band.of_block(voxels / band.size)
         counts[n] = flip_block(
             local,
             band.bins.phases,
             _EVERYWHERE if free is None else np.ascontiguousarray(free[inside]),
-            np.ascontiguousarray(votes[(slice(None), *inside)]),
-            level,
-            effort,
-            stage,
-            n,
-            band.bins.balls,
-            slopes,
-            euler,
-            euler_off,
-            euler_weights,
+            VotePrice(np.ascontiguousarray(votes[(slice(None), *inside)]), level, effort),
+            (stage, n),
+            band.of_block(voxels / band.size),
             steps_around(local.shape),
-            tuple(cells),
+            cells,
             own,
         )
         found = local[core]

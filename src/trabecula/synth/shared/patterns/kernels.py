@@ -170,35 +170,30 @@ def _weight(dz, dy, dx):
 
 
 @kernel
-def flip_block(
-    local,
-    phases,
-    free,
-    votes,
-    level,
-    effort,
-    key,
-    number,
-    balls,
-    slopes,
-    euler,
-    euler_misfit,
-    euler_weights,
-    steps,
-    cells,
-    change,
-):
+def flip_block(local, phases, free, votes, draw, misfit, steps, cells, change):
     """Change voxels of the block where that brings patterns nearer to their target, each once, in
-    random order. Return how many. `cells` are what `FractionCells` holds: changes bring no phase of
-    a cell above what it is to have, nor of the block.
+    random order. Return how many. The local array follows, and what `misfit` and `cells` hold.
 
-    `slopes` (bins, 2) hold twice the misfit times its weight, and the weight, of the block's share,
-    as what follows does of Euler numbers. They and the local array follow, and `change` (bins,) of
-    the counts. A change costs `effort` for every unit by which the votes (C, z, y, x) of the block
-    lie on its phase's side of `level`; where `free` (z, y, x) has entries, others stay. `steps`
-    (26,) lead from a place in the local array to its neighbours, faces first. Bins from `balls` on
-    are of balls.
+    Parameters
+    ----------
+    local : (z, y, x) uint8
+    phases : int
+    free : (z, y, x) bool
+        Of the block. Where it has entries, others stay.
+    votes : VotePrice
+        Of the block.
+    draw : (uint64, int)
+        Key of the random order, and the number of the block.
+    misfit : BlockMisfit
+    steps : (26,) int64
+        From a place in the local array to its neighbours, faces first.
+    cells : FractionCells
+        Changes bring no phase of a cell above what it is to have, nor of the block.
+    change : (bins,) int64
+        Of the counts of patterns.
     """
+    slopes, balls, euler, euler_off, euler_weights = misfit
+    key, number = draw
     spots = _interface(local)
     _shuffle(spots, key, number)
     powers = phases ** np.arange(8)
@@ -233,7 +228,7 @@ def flip_block(
         more = _gained(gained, side, z, y, x)
         energy = 2.0 * price * (more[new] - more[own] + 1)
         energy += 2.0 * whole_price * (whole[new] - whole[own] + 1)
-        energy += effort * _depth(votes[:, at_z, at_y, at_x], own, new, level)
+        energy += votes.effort * _depth(votes.field[:, at_z, at_y, at_x], own, new, votes.level)
         loops[:] = 0
         for k in range(count):
             one = bins[k]
@@ -242,7 +237,7 @@ def flip_block(
                 for e in range(len(euler)):
                     loops[e] += by[k] * euler[e, one - cubes]
         for e in range(len(euler)):
-            energy += euler_weights[e] * loops[e] * (2 * euler_misfit[e] + loops[e])
+            energy += euler_weights[e] * loops[e] * (2 * euler_off[e] + loops[e])
         kept = energy < 0
         if kept:
             small, mark = _touches_small(local, spot, own, steps[:6], marks, mark, stack)
@@ -263,7 +258,7 @@ def flip_block(
             change[bins[k]] += by[k]
             slopes[bins[k], 0] += 2 * slopes[bins[k], 1] * by[k]
         for e in range(len(euler)):
-            euler_misfit[e] += loops[e]
+            euler_off[e] += loops[e]
     given = (local, around, phases, powers, grid, bins, by, change, done[:now], was[:now])
     left = now - _undo(given, gained, side)
     all_of_it = _sum_cells(gained).reshape(1, 1, 1, phases)
