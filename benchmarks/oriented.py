@@ -144,7 +144,8 @@ def design() -> None:
     material that points one way everywhere.
 
     Solid is .25 to .65 by the design, .4 in the mean, and all where the part is held or pushed;
-    twice as many voxels as elements along an axis. `loose`: share of the solid that no support
+    twice as many voxels as elements along an axis. Parts are made one component in the end
+    (`finish.connect`); `joined`: share of the solid that joins fill, `loose`: share that no support
     holds.
     """
     row = table(*_COLUMNS)
@@ -182,7 +183,9 @@ def design_bone() -> None:
                     )
 
 
-_COLUMNS = ("part", "material", "compliance", "solid", "loose", "per mass", "ratio", "seconds")
+_COLUMNS = (
+    *("part", "material", "compliance", "solid", "joined", "loose", "per mass", "ratio", "seconds"),
+)
 
 
 @dataclass(frozen=True)
@@ -237,10 +240,12 @@ def _put_under_load(
     made = model.generate(part.form.shape, seed=seed, target=target, mask=part.form)
     label = made.phases.index("solid")
     made = tb.Image(np.where(solid, label, made.values), "labels", phases=made.phases)
+    made = tb.finish.connect(made, mask=part.form)
+    joined = made.recipe.steps[-1]["report"]["added"] / np.count_nonzero(made.values == label)
     try:
         seconds, found = busy(lambda: fields.part_stress(made, part.case, mask=part.form))
     except tb.errors.InputError as error:
-        row(name, material, str(error)[:40], *"----", "-")
+        row(name, material, str(error)[:40], *"-----", "-")
         return whole
     told = found.recipe.steps[-1]["report"]
     compliance = told["compliance"][0] / told["solid_compliance"][0]
@@ -251,6 +256,7 @@ def _put_under_load(
         material,
         f"{compliance:.2f}",
         f"{told['fraction']:.3f}",
+        f"{joined:.4f}",
         f"{told['loose']:.4f}",
         f"{stiffness:.4f}",
         f"{stiffness / whole:.2f}",

@@ -12,11 +12,11 @@ import trabecula as tb
 from trabecula.engine import blocks, memmap
 from trabecula.engine.lazy_volume import as_slabs
 from trabecula.errors import InputError, MemoryBudgetError, UnknownNameError
-from trabecula.finish import OPERATIONS, bridges, connect
+from trabecula.finish import OPERATIONS, connect
 from trabecula.finish import slabs as finishing
 from trabecula.finish.slabs import finish_slabs
 from trabecula.io.lazy import open_slabs
-from trabecula.measure import runs
+from trabecula.measure import near_joins, runs
 
 
 def grains(shape, seed=1, phases=2):
@@ -38,7 +38,7 @@ def thin(monkeypatch):
     monkeypatch.setattr(memmap, "SMALLEST", 1)
     mapped = partial(memmap.map_large_arrays, thickest=3)
     monkeypatch.setattr(finishing.memmap, "map_large_arrays", mapped)
-    monkeypatch.setattr(bridges, "SIDE", 9)
+    monkeypatch.setattr(near_joins, "SIDE", 9)
 
 
 CASES = {
@@ -114,7 +114,7 @@ def test_the_shortest_join_does_not_depend_on_the_blocks_it_is_sought_in(solid, 
             wanted = {"reach": reach, "brush": 1, "min_size": 0}
             whole = connect(values, **wanted)
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(bridges, "SIDE", side)
+                patch.setattr(near_joins, "SIDE", side)
                 found = connect(values, **wanted)
             assert np.array_equal(found.values, whole.values)
             assert found.recipe.steps[-1] == whole.recipe.steps[-1]

@@ -27,7 +27,6 @@ from trabecula.core.progress import notify
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import sum_slabs
-from trabecula.finish.bridges import shortest_join
 from trabecula.finish.forms import as_form, form_recipe
 from trabecula.finish.labels import background_of, check_present, lift, with_step
 from trabecula.finish.periodic import (
@@ -37,6 +36,7 @@ from trabecula.finish.periodic import (
 )
 from trabecula.measure.joins import cheapest_joins
 from trabecula.measure.labelling import joined_across
+from trabecula.measure.near_joins import fill_path, join_near
 from trabecula.measure.phases import as_connectivity, as_periodic, members
 from trabecula.measure.runs import Runs, runs_of
 
@@ -175,7 +175,16 @@ def connect_in_place(
         found = _join_all(values, runs, background, (reach, brush, least), inside, wraps)
         runs = _runs(values, *again) if found["joins"] else runs
     else:
-        found, runs = _join_near(values, runs, background, (reach, brush, least), inside, again)
+        found, runs = join_near(
+            values,
+            runs,
+            lambda: _runs(values, *again),
+            background,
+            reach=reach,
+            brush=brush,
+            least=least,
+            inside=inside,
+        )
     loose = np.arange(len(runs.sizes)) != np.argmax(runs.sizes)
     gone = loose & (runs.sizes < least) if unjoined == "keep" else loose
     runs.write(values, gone, background)
@@ -247,45 +256,12 @@ def _join_all(
     paths = cheapest_joins(values, runs, worth, background, inside, wraps)
     if reach is not None:
         paths = [path for path in paths if len(path) - 1 <= reach]
-    around = np.array(wraps)
     for number, path in enumerate(paths):
-        filled += int(_fill(values, path, background, brush, _paintable(inside), around))
+        filled += fill_path(values, path, background, brush, inside, wraps)
         longest = max(longest, len(path) - 1)
         if number % _SOME == 0:
             memmap.release_pages()
     return {"joins": len(paths), "added": filled, "longest": longest}
-
-
-def _join_near(
-    values: np.ndarray,
-    runs: Runs,
-    background: int,
-    settings: tuple[int, int, int],
-    inside: np.ndarray | None,
-    again: tuple[np.ndarray, int, tuple[bool, ...], str | int | None],
-) -> tuple[dict[str, int], Runs]:
-    """Join the components within reach of the largest one, in place, until none is within reach.
-
-    Returns the counts, and the components afterwards.
-    """
-    found = {"joins": 0, "added": 0, "longest": 0}
-    while True:
-        body = int(np.argmax(runs.sizes)) + 1
-        joins, filled, longest = _join_components(values, runs, body, background, settings, inside)
-        if not joins:
-            return found, runs
-        found = {
-            "joins": found["joins"] + joins,
-            "added": found["added"] + filled,
-            "longest": max(found["longest"], longest),
-        }
-        del runs  # before the next ones are allocated
-        runs = _runs(values, *again)
-
-
-def _paintable(inside: np.ndarray | None) -> np.ndarray:
-    """Return the voxels that may be painted, for the kernel: an empty array means all of them."""
-    return np.empty((0, 0, 0), np.bool_) if inside is None else inside
 
 
 def _check_settings(reach: int | None, brush: int, min_size: int | None) -> None:
@@ -303,41 +279,6 @@ def _check_settings(reach: int | None, brush: int, min_size: int | None) -> None
             )
 
 
-def _join_components(
-    values: np.ndarray,
-    runs: Runs,
-    body: int,
-    background: int,
-    settings: tuple[int, int, int],
-    inside: np.ndarray | None,
-) -> tuple[int, int, int]:
-    """Join every component within reach of the body, in place.
-
-    Returns the number of joins, the voxels filled, and the length of the longest join.
-    """
-    reach, brush, min_size = settings
-    chosen = runs.sizes >= min_size
-    chosen[body - 1] = False
-    if not chosen.any() or reach == 0:
-        return 0, 0, 0
-    worth = np.concatenate([[False], chosen])
-    joins = filled = longest = 0
-    faces = np.zeros(3, bool)
-    for number, (component, bounds) in enumerate(
-        zip(np.flatnonzero(chosen) + 1, runs.boxes(chosen).tolist(), strict=True)
-    ):
-        path = shortest_join(
-            values, runs, bounds, component, body, background, worth, reach, inside
-        )
-        if len(path):
-            joins += 1
-            filled += int(_fill(values, path, background, brush, _paintable(inside), faces))
-            longest = max(longest, len(path) - 1)
-        if number % _SOME == 0:
-            memmap.release_pages()
-    return joins, filled, longest
-
-
 @kernel
 def _count_chords(values, member, start, stop):
     """Count the runs of members along z, y and x that begin in a slab."""
@@ -351,32 +292,3 @@ def _count_chords(values, member, start, stop):
                     found[1] += y == 0 or not member[values[z, y - 1, x]]
                     found[2] += x == 0 or not member[values[z, y, x - 1]]
     return found
-
-
-@kernel
-def _fill(values, path, background, brush, inside, wraps):
-    """Paint the path with a cube of side `brush` in the label of its first voxel.
-
-    Only background is painted over, nothing outside of a form, and beyond a face only where it is
-    periodic. Returns the voxels painted.
-    """
-    depth, height, width = values.shape
-    label = values[path[0, 0], path[0, 1], path[0, 2]]
-    before = (brush - 1) // 2
-    filled = 0
-    for n in range(1, len(path)):
-        first = path[n] - before
-        for c in range(first[0], first[0] + brush):
-            if not (wraps[0] or 0 <= c < depth):
-                continue
-            for b in range(first[1], first[1] + brush):
-                if not (wraps[1] or 0 <= b < height):
-                    continue
-                for a in range(first[2], first[2] + brush):
-                    if not (wraps[2] or 0 <= a < width):
-                        continue
-                    z, y, x = c % depth, b % height, a % width
-                    if values[z, y, x] == background and (inside.size == 0 or inside[z, y, x]):
-                        values[z, y, x] = label
-                        filled += 1
-    return filled

@@ -33,9 +33,9 @@ from trabecula.engine.lock import hold_lock
 from trabecula.engine.memory import Plan, available_memory, check_budget
 from trabecula.engine.storage import Folder, Location, location_of
 from trabecula.engine.store import CHUNK
-from trabecula.finish.bridges import search_bytes
 from trabecula.finish.operations import OPERATIONS
 from trabecula.io.units import long_name
+from trabecula.measure.near_joins import search_bytes
 
 Step = tuple[str, Mapping[str, Any]]
 """Name of an operation and its settings."""

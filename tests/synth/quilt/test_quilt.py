@@ -12,6 +12,7 @@ from trabecula.core.progress import listen
 from trabecula.engine import checkpoint
 from trabecula.errors import InputError, RequestError
 from trabecula.measure.labelling import label_components
+from trabecula.synth.api.registry import recorded_method
 from trabecula.synth.quilt.patch_library import remove_unconnected
 
 CELL = dict(patch=11, overlap=3, orientations="all")
@@ -217,7 +218,37 @@ def test_where_there_is_no_path_it_says_so():
     assert made.values[:, :, :20].any() and made.values[:, :, 24:].any()
     assert report(made)["gave_way"] > 0
     assert report(made)["gave_way_at"][0]["in"] == "connectivity"
-    assert any("gave way in connectivity" in line for line in summary)
+    assert report(made)["loose"] > 0
+    (line,) = (line for line in summary if "gave way in connectivity" in line)
+    assert "connect the solid but for" in line and "finish.connect" in line
+
+
+def arms():
+    """Return a form whose arms part before bars in them meet."""
+    form = np.zeros((34, 14, 30), bool)
+    form[:6] = form[:, :, :12] = form[:, :, -12:] = True
+    return form
+
+
+def test_what_gave_way_is_joined_in_the_end():
+    form, summary, made = arms(), [], {}
+    for joins in (False, True):
+        model = tb.method("quilt", **BARS, joins=joins).fit(bars())
+        with listen(lambda line, done: summary.append(line)):
+            made[joins] = model.generate(form.shape, seed=1, mask=form)
+    before, after = made[False].values, made[True].values
+    assert ndimage.label(before)[1] > 1 == ndimage.label(after)[1]
+    told = report(made[True])
+    assert told["gave_way"] == report(made[False])["gave_way"] > 0
+    assert told["joins"] > 0 == told["loose"] and "joins" not in report(made[False])
+    assert told["join_voxels"] == np.count_nonzero(before != after) < 0.15 * after.sum()
+    assert (after >= before).all() and not after[~form].any()
+    assert any(line.endswith("connect the solid") for line in summary)
+
+
+def test_a_recipe_of_before_joins_nothing():
+    assert not recorded_method("quilt", {"patch": 14}).config.joins
+    assert tb.method("quilt").config.joins
 
 
 def thin(made):

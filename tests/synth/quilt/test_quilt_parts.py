@@ -18,6 +18,7 @@ from trabecula.synth.quilt.connectivity import (
     VOID,
     ComponentTracker,
     ConnectivityCheck,
+    join_rest,
     thin_voxels,
     voxel_classes,
 )
@@ -344,3 +345,38 @@ def test_a_box_goes_on_at_the_other_end_where_the_axis_wraps():
     for wraps, wanted in ((True, [8, 9, 0, 1]), (False, [8, 9])):
         grid = PatchGrid((1, 1, 10), (False, False, wraps), (1, 1, 4), (1, 1, 3), (0, 0, 0))
         assert grid.indices((0, 0, 8))[2].tolist() == wanted
+
+
+def loose_blocks():
+    """Return a canvas with four blocks along a line: known, made, made, made; the second void
+    between them is known.
+    """
+    canvas = np.zeros((5, 7, 40), np.uint8)
+    for first in (1, 12, 21, 33):
+        canvas[1:4, 2:5, first : first + 5] = 1
+    canvas[:, :, 1:6] += FIXED
+    canvas[:, :, 17:21] += FIXED
+    return canvas
+
+
+@pytest.mark.parametrize("wraps", [False, True])
+def test_components_are_joined_through_made_void_alone(wraps):
+    canvas, classes = loose_blocks(), voxel_classes("solid", 0, 2)
+    if wraps:  # the last block continues at the first
+        canvas[2, 3, 38:] = canvas[2, 3, 0] = 1
+    before = canvas.copy()
+    told = join_rest(canvas, classes, (False, False, wraps), void=0, patch=8, brush=3, least=10)
+    changed = canvas != before
+    assert (before[changed] == 0).all() and (canvas % FIXED)[changed].all()
+    assert told["join_voxels"] == np.count_nonzero(changed)
+    assert changed[:3, 1:4, 6:12].all()  # nine voxels around the first of the shortest ways
+    # known void is a wall between the second and the third, which is near the first's other end
+    assert told["joins"] == (2 if wraps else 1) and told["loose"] == (0 if wraps else 2 * 45)
+    assert changed[:3, 1:4, 26:33].all() == wraps
+
+
+def test_small_components_and_far_ones_stay():
+    canvas, classes = loose_blocks(), voxel_classes("solid", 0, 2)
+    canvas[2, 3, 8] = 1  # an island
+    told = join_rest(canvas, classes, (False,) * 3, void=0, patch=5, brush=1, least=10)
+    assert told == {"joins": 0, "join_voxels": 0, "loose": 3 * 45}

@@ -317,6 +317,8 @@ class PlacementTrace:
         Patches that were taken back.
     painted : int
         Voxels of islands that were painted over in the end.
+    joined : dict of str to int
+        What `connectivity.join_rest` reports; empty where it had nothing to do.
     """
 
     mismatch: np.ndarray
@@ -332,6 +334,7 @@ class PlacementTrace:
                 layer[...] = np.nan if dtype is np.float64 else 0
             setattr(self, name, records[name])
         self.taken_back = self.painted = 0
+        self.joined: dict[str, int] = {}
 
     def add(
         self, number: int, mismatch: float, difference: float, tried: int, strut: int, gave_way: str
@@ -360,10 +363,16 @@ class PlacementTrace:
             "struts": _count_nonzero(self.strut),
             "strut_voxels": sum(int(layer.sum(dtype=np.int64)) for layer in _layers(self.strut)),
             "gave_way": _count_nonzero(self.gave_way),
+            **self.joined,
         }
         if summary["gave_way"]:
             summary["gave_way_at"] = list(self._first_gave_way())
         return summary
+
+    def gave_way_in(self, reason: str) -> int:
+        """Count the places that gave way for a reason."""
+        number = REASONS.index(reason)
+        return sum(int(np.count_nonzero(layer == number)) for layer in _layers(self.gave_way))
 
     def _first_gave_way(self) -> Iterator[dict[str, Any]]:
         """Yield the first places that gave way."""

@@ -65,6 +65,11 @@ class QuiltConfig:
     """Phases that become one connected component (section 4.3): "solid" (every phase but void),
     "void" (all of it reaches a face of the volume or the form), "both", "none"."""
 
+    joins: bool = True
+    """Whether components of the solid that places which gave way have left are joined in the end,
+    by the shortest paths, as thick as struts (`connected` = "solid" alone). Recipes and models that
+    do not name it: False."""
+
     feature: int = 1
     """Least thickness of the solid, voxels, 1 .. 8: no seam leaves less. 1: no condition."""
 
@@ -102,6 +107,11 @@ class QuiltConfig:
             for name, value in self.weights.items()
         }
         object.__setattr__(self, "weights", kept)
+
+    @classmethod
+    def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Complete the settings of a recipe or a model that is older than some of them."""
+        return {"joins": False, **settings}
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:

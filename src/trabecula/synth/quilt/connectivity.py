@@ -22,8 +22,9 @@ import numpy as np
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
-from trabecula.measure.labelling import pairs_across
-from trabecula.measure.runs import Runs, merge_labels, runs_of
+from trabecula.measure.labelling import joined_across, pairs_across
+from trabecula.measure.near_joins import join_near, search_bytes
+from trabecula.measure.runs import RUN_BYTES, Runs, merge_labels, runs_of
 from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT
 from trabecula.synth.quilt.connectivity_kernels import (
     ENDS,
@@ -50,6 +51,8 @@ SOLID, VOID = 1, 2
 _ALWAYS = 1 << 40  # ends of the open void
 
 _MORE = 4096  # rows by which the table grows
+
+_RUN = 8  # voxels from one run of the solid to the next, at least, in the mean
 
 
 def voxel_classes(connected: str, void: int, labels: int) -> np.ndarray:
@@ -421,3 +424,67 @@ def _cover_cubes(may_be, sides, covered):
                     for j in range(max(y, 0), min(y + sides[1], height)):
                         for i in range(max(x, 0), min(x + sides[2], width)):
                             covered[k, j, i] = True
+
+
+def join_rest(
+    canvas: np.ndarray,
+    classes: np.ndarray,
+    wraps: Sequence[bool],
+    *,
+    void: int,
+    patch: int,
+    brush: int,
+    least: int,
+) -> dict[str, int]:
+    """Join the components of the solid that are left in the end, in place; return a report.
+
+    Joins are the shortest ways through void that was made, at most as long as a patch;
+    across periodic faces none runs.
+
+    Parameters
+    ----------
+    canvas : (Z, Y, X) uint8
+    classes : (256,) uint8
+        As from `voxel_classes`.
+    wraps : three bool
+    void : int
+        Label.
+    patch : int
+        Side of a patch, voxels.
+    brush : int
+        Thickness of a join, voxels.
+    least : int
+        Voxels of a component that is joined.
+
+    Returns
+    -------
+    dict
+        `joins`, their voxels as `join_voxels`, and `loose`, the voxels of components of that size
+        that no join reached.
+    """
+
+    def components() -> Runs:
+        return joined_across(runs_of(canvas, classes == SOLID, _FACES), _FACES, tuple(wraps))
+
+    found, runs = join_near(
+        canvas,
+        components(),
+        components,
+        void,
+        reach=patch,
+        brush=brush,
+        least=least,
+        side=patch,
+    )
+    loose = runs.sizes[runs.sizes >= least].sum() - runs.sizes.max(initial=0)
+    return {
+        "joins": found["joins"],
+        "join_voxels": found["added"],
+        "loose": max(0, int(loose)),
+    }
+
+
+def join_bytes(shape: Sequence[int], patch: int, *, mapped: bool) -> int:
+    """Return the memory of `join_rest`, at most, beside the canvas; runs may be memory-mapped."""
+    runs = 0 if mapped else RUN_BYTES * (int(np.prod(shape)) // _RUN)
+    return search_bytes(shape, patch, patch) + runs

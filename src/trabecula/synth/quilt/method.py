@@ -170,18 +170,31 @@ class QuiltModel(Model):
         values, trace = self.make_with_trace(request)
         summary = trace.summary()
         if summary["gave_way"]:
-            at = summary["gave_way_at"][0]
-            notify(
-                f"{summary['gave_way']} of {summary['places']} places gave way in {at['in']}, "
-                f"the first at voxel {at['voxel']}: look at more candidates, or finish the part "
-                "(finish.connect)"
-            )
+            notify(_gave_way_text(summary))
         return values, {
             "patch": self.patch,
             "overlap": self.overlap,
             "periods": list(self.periods),
             **summary,
         }
+
+
+def _gave_way_text(summary: Mapping[str, Any]) -> str:
+    """Say how many places gave way, and what joined the solid that they left, or may join it."""
+    at = summary["gave_way_at"][0]
+    found = (
+        f"{summary['gave_way']} of {summary['places']} places gave way in {at['in']}, the first at "
+        f"voxel {at['voxel']}: "
+    )
+    if "loose" not in summary:
+        return found + "look at more candidates, or finish the part (finish.connect)"
+    joined = f"{summary['joins']} joins of {summary['join_voxels']} voxels connect the solid"
+    if not summary["loose"]:
+        return found + joined
+    return (
+        f"{found}{joined} but for {summary['loose']} voxels: look at more candidates, or finish "
+        "the part (finish.connect)"
+    )
 
 
 def _check_one_form(mask: np.ndarray, periodic: Sequence[bool]) -> None:

@@ -54,6 +54,8 @@ from trabecula.synth.quilt.connectivity import (
     SOLID,
     ComponentTracker,
     ConnectivityCheck,
+    join_bytes,
+    join_rest,
     thin_voxels,
     voxel_classes,
 )
@@ -118,10 +120,20 @@ def run_stages(
         laying += sides[0] * sides[1] * grid.shape[2] * each
     else:
         laying += _OF_A_PLACE * places
-    return (
+    stages = [
         Stage("enter given voxels", held, entering),
         Stage("lay patches", {**held, **records}, laying),
-    )
+    ]
+    if _may_join(config):
+        working = join_bytes(grid.shape, max(grid.patch), mapped=mapped)
+        rest = {"canvas": held["canvas"], **records}
+        stages.append(Stage("join components", rest, working))
+    return tuple(stages)
+
+
+def _may_join(config: QuiltConfig) -> bool:
+    """Return whether components are joined where places gave way."""
+    return config.joins and config.connected == "solid"
 
 
 class QuiltRun:
@@ -213,8 +225,24 @@ class QuiltRun:
                 void=self.chooser.strut_builder.void,
                 solid=self.chooser.strut_builder.solid,
             )
+            if _may_join(self.config) and self.trace.gave_way_in("connectivity"):
+                self._join_rest(self.components.classes)
         unmark(self.canvas, self.void)
         return self.canvas
+
+    def _join_rest(self, classes: np.ndarray) -> None:
+        """Join the components of the solid that are left; nothing is laid after it."""
+        self.components = self.chooser.components = None
+        self.work.enter("join components")
+        self.trace.joined = join_rest(
+            self.canvas,
+            classes,
+            self.grid.wraps,
+            void=self.void,
+            patch=max(self.grid.patch),
+            brush=2 * self.chooser.strut_builder.radius + 1,
+            least=self.chooser.check.island + 1,
+        )
 
     def _lay_layer(self, layer: int) -> None:
         """Lay the patches of one layer of places; none is taken back later."""

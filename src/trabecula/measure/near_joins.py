@@ -1,5 +1,5 @@
-"""Paths through the background from one component to the body, the shortest within a reach
-(`measure.joins` has the minimum spanning tree of all).
+"""Joins of components to the body, the largest of them, through the background within a reach
+(`measure.joins` has the minimum spanning tree of all, at any distance).
 
 `shortest_join` finds the path block by block. All shortest paths
 from a component have an order: by the voxel that they start from, then by the side through which
@@ -10,7 +10,7 @@ first of theirs is the first of all, and the search takes the memory of one bloc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -21,12 +21,127 @@ from trabecula.engine.rows import copy_row
 from trabecula.measure.runs import Runs
 
 SIDE = 128
-"""Voxels along an edge of a block that is searched from."""
+"""Voxels along an edge of a block that is searched from, where no other is named."""
+
+_SOME = 32
+"""Components that are joined before pages of memory-mapped arrays are released."""
 
 _BODY, _LOOSE, _OPEN, _CLOSED = 1, 2, 3, 4
 
 _STEPS = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
 """Steps to the neighbours of a voxel, in the order in which they are tried."""
+
+
+def join_near(
+    values: np.ndarray,
+    runs: Runs,
+    again: Callable[[], Runs],
+    background: int,
+    *,
+    reach: int,
+    brush: int,
+    least: int,
+    inside: np.ndarray | None = None,
+    side: int | None = None,
+) -> tuple[dict[str, int], Runs]:
+    """Join the components within reach of the largest one, in place, until none is within reach.
+
+    Parameters
+    ----------
+    values : (Z, Y, X) uint8 labels
+    runs : Runs
+        Their components.
+    again : callable
+        Returns those of the values as they are.
+    background : int
+        Label that joins run through.
+    reach : int
+        Longest join, in voxels of background.
+    brush : int
+        Thickness of a join, in voxels.
+    least : int
+        Voxels of a component that is joined.
+    inside : (Z, Y, X) bool, optional
+        Voxels that joins may fill. Default: all.
+    side : int, optional
+        Voxels along an edge of a block that is searched from: the smaller, the less memory.
+        Default: `SIDE`.
+
+    Returns
+    -------
+    found : dict
+        `joins`, `added` (voxels that they fill) and `longest` (voxels of background along it).
+    runs : Runs
+        The components afterwards.
+    """
+    found = {"joins": 0, "added": 0, "longest": 0}
+    while True:
+        joins, filled, longest = _join_each(
+            values, runs, background, reach, brush, least, inside, side
+        )
+        if not joins:
+            return found, runs
+        found = {
+            "joins": found["joins"] + joins,
+            "added": found["added"] + filled,
+            "longest": max(found["longest"], longest),
+        }
+        del runs  # before the next ones are allocated
+        runs = again()
+
+
+def _join_each(
+    values: np.ndarray,
+    runs: Runs,
+    background: int,
+    reach: int,
+    brush: int,
+    least: int,
+    inside: np.ndarray | None,
+    side: int | None,
+) -> tuple[int, int, int]:
+    """Join every component within reach of the body, in place.
+
+    Returns the number of joins, the voxels filled, and the length of the longest join.
+    """
+    body = int(np.argmax(runs.sizes)) + 1
+    chosen = runs.sizes >= least
+    chosen[body - 1] = False
+    if not chosen.any() or reach == 0:
+        return 0, 0, 0
+    worth = np.concatenate([[False], chosen])
+    joins = filled = longest = 0
+    for number, (component, bounds) in enumerate(
+        zip(np.flatnonzero(chosen) + 1, runs.boxes(chosen).tolist(), strict=True)
+    ):
+        path = shortest_join(
+            values, runs, bounds, component, body, background, worth, reach, inside, side
+        )
+        if len(path):
+            joins += 1
+            filled += fill_path(values, path, background, brush, inside)
+            longest = max(longest, len(path) - 1)
+        if number % _SOME == 0:
+            memmap.release_pages()
+    return joins, filled, longest
+
+
+def fill_path(
+    values: np.ndarray,
+    path: np.ndarray,
+    background: int,
+    brush: int,
+    inside: np.ndarray | None = None,
+    wraps: Sequence[bool] = (False, False, False),
+) -> int:
+    """Paint a path (n, 3) with a cube of side `brush` in the label of its first voxel, in place;
+    return the voxels painted.
+
+    Only background is painted over, nothing that is not `inside`, and beyond a face only where it
+    is periodic.
+    """
+    where = np.empty((0, 0, 0), np.bool_) if inside is None else inside
+    return int(_fill(values, path, background, brush, where, np.array(wraps)))
 
 
 def shortest_join(
@@ -39,6 +154,7 @@ def shortest_join(
     worth: np.ndarray,
     reach: int,
     inside: np.ndarray | None = None,
+    side: int | None = None,
 ) -> np.ndarray:
     """Return the first of the shortest paths (n, 3), beginning with a voxel of the component.
 
@@ -61,11 +177,13 @@ def shortest_join(
         Longest path, in voxels of background.
     inside : (Z, Y, X) bool, optional
         Voxels that paths may run through. Default: all.
+    side : int, optional
+        Voxels along an edge of a block. Default: `SIDE`.
     """
     best: tuple[tuple[int, ...], np.ndarray] | None = None
     low = np.array(bounds[:3])
     cores = boxes_of(
-        [stop - start for start, stop in zip(bounds[:3], bounds[3:], strict=True)], SIDE
+        [stop - start for start, stop in zip(bounds[:3], bounds[3:], strict=True)], side or SIDE
     )
     for core in cores:
         box = _around(core, low, reach + 1, values.shape)
@@ -82,9 +200,10 @@ def shortest_join(
     return np.empty((0, 3), np.int64) if best is None else best[1]
 
 
-def search_bytes(shape: Sequence[int], reach: int) -> int:
+def search_bytes(shape: Sequence[int], reach: int, side: int | None = None) -> int:
     """Return the memory of a search."""
-    sides = [min(side, SIDE + 2 * (reach + 1)) for side in shape]
+    most = (side or SIDE) + 2 * (reach + 1)
+    sides = [min(have, most) for have in shape]
     return 24 * int(np.prod(sides, dtype=np.int64))
 
 
@@ -167,3 +286,28 @@ def _shortest_path(state, reach):
                 count += 1
         head += 1
     return np.empty((0, 3), np.int64)
+
+
+@kernel
+def _fill(values, path, background, brush, inside, wraps):
+    """Paint a path as `fill_path` does; an empty `inside` means everywhere."""
+    depth, height, width = values.shape
+    label = values[path[0, 0], path[0, 1], path[0, 2]]
+    before = (brush - 1) // 2
+    filled = 0
+    for n in range(1, len(path)):
+        first = path[n] - before
+        for c in range(first[0], first[0] + brush):
+            if not (wraps[0] or 0 <= c < depth):
+                continue
+            for b in range(first[1], first[1] + brush):
+                if not (wraps[1] or 0 <= b < height):
+                    continue
+                for a in range(first[2], first[2] + brush):
+                    if not (wraps[2] or 0 <= a < width):
+                        continue
+                    z, y, x = c % depth, b % height, a % width
+                    if values[z, y, x] == background and (inside.size == 0 or inside[z, y, x]):
+                        values[z, y, x] = label
+                        filled += 1
+    return filled
