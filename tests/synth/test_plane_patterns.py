@@ -245,14 +245,72 @@ def test_masks_and_known_voxels_are_left_alone():
     assert made.recipe.steps[-1]["report"]["patterns"]["changed"] > 100
 
 
-def test_a_target_of_other_fractions_leaves_voxels_as_they_are():
-    given = picture(blobs((3, 64, 64), 1.0, 2)[1], names=("void", "solid"))
+def uneven(side, seed, low=0.3, high=0.6):
+    """Return a picture (side, side) whose fraction rises from row to row."""
+    plane = gaussian(np.random.default_rng(seed).normal(size=(3, side, side)), 2.0)[1]
+    levels = np.quantile(plane, np.linspace(1 - low, 1 - high, side))
+    return (plane > levels[:, None]).astype(np.uint8)
+
+
+def test_denser_windows_tell_of_a_denser_material():
+    """Squares and chords are nearer to those of a denser picture of the same process than the
+    picture's own, and of its own fraction they are its own.
+    """
+    given, dense = uneven(400, 1), uneven(400, 2, 0.5, 0.5)
+    views = views_of([picture(given)], ())
+    own, aim = PlanePatterns.of(views, (0, 1)), PlanePatterns.of(views_of([picture(dense)]), (0, 1))
+    same = PlanePatterns.at_fraction(views, (0, 1), float(given.mean()))
+    found = PlanePatterns.at_fraction(views, (0, 1), 0.5)
+    for axis in range(3):
+        np.testing.assert_allclose(same.chords[axis], own.chords[axis])
+        np.testing.assert_allclose(same.squares[axis], own.squares[axis])
+        np.testing.assert_allclose(found.squares[axis].sum(axis=(1, 2, 3, 4)), 1)
+        for before, after, wanted in (
+            (own.chords[axis], found.chords[axis], aim.chords[axis]),
+            (own.squares[axis], found.squares[axis], aim.squares[axis]),
+        ):
+            assert np.abs(after - wanted).sum() < 0.5 * np.abs(before - wanted).sum()
+    solid = found.squares[0][0][1].sum()  # of the first corner
+    assert solid == pytest.approx(0.5, abs=0.01)
+
+
+def test_windows_tell_of_no_fraction_far_from_theirs():
+    views = views_of([picture(uneven(400, 1))], ())
+    for fraction, told in ((0.35, True), (0.55, True), (0.15, False), (0.75, False)):
+        assert (PlanePatterns.at_fraction(views, (0, 1), fraction) is not None) == told
+    small = views_of([picture(uneven(30, 1))], ())  # no window fits
+    own = float(small[0].image.values.mean())
+    assert PlanePatterns.at_fraction(small, (0, 1), own) is not None
+    assert PlanePatterns.at_fraction(small, (0, 1), own + 0.05) is None
+
+
+def test_a_target_that_windows_tell_of_is_flipped_to():
+    given = picture(uneven(96, 2), names=("void", "solid"))
     learned = tb.method("kopf", **QUICK).fit(given)
-    made = learned.generate(24, seed=1, target={"porosity": 0.6})
-    assert "patterns" not in made.recipe.steps[-1].get("report", {})
+    near, far = (float((given.values == 0).mean()) + more for more in (0.06, 0.25))
+    flipped, left = (
+        learned.generate(40, seed=1, target={"porosity": asked}) for asked in (near, far)
+    )
+    assert tb.measure.porosity(flipped) == pytest.approx(near, abs=1e-3)
+    told = flipped.recipe.steps[-1]["report"]["patterns"]
+    assert told["off_after"] < 0.8 * told["off_before"]
+    assert "patterns" not in left.recipe.steps[-1].get("report", {})
+    plain = tb.Request((24,) * 3)
+    shown = {
+        asked: learned.flips.shown_for(replace(plain, target={"porosity": asked}))
+        for asked in (near, far)
+    }
+    assert shown[near] is not None and shown[far] is None
+    assert learned.flips.shown_for(replace(plain, target={"porosity": near})) is shown[near]
+
+
+def test_a_target_of_three_phases_leaves_voxels_as_they_are():
+    phases = blobs((3, 96, 96), 1.5, 3, (-0.4, 0.4))[1]
+    given = picture(phases, names=("void", "binder", "solid"))
+    learned = tb.method("kopf", **QUICK).fit(given)
     plain = tb.Request((24,) * 3)
     assert learned.flips.shown_for(plain) is not None
-    assert learned.flips.shown_for(replace(plain, target={"porosity": 0.6})) is None
+    assert learned.flips.shown_for(replace(plain, target={"porosity": 0.4})) is None
 
 
 @pytest.mark.parametrize("config", [KopfConfig, ChenConfig, SlicedConfig])

@@ -47,18 +47,38 @@ class PictureFlips:
 
     def shown_for(self, request: Request) -> PlanePatterns | None:
         """Return what a result is brought to; None where nothing flips: the pictures are too small
-        to tell their patterns, or a target or a coarse scan asks for other fractions.
+        to tell their patterns, or a target asks for a fraction that they do not tell of, or there
+        is a coarse scan.
         """
-        if not self.rounds or not isinstance(self.content, Labels):
+        if not self.rounds or not isinstance(self.content, Labels) or request.coarse is not None:
             return None
-        other = bool(request.target) or request.coarse is not None
-        told = are_told(self.views, len(self.content.present))
-        return self._shown if told and not other else None
+        present = self.content.present
+        if not are_told(self.views, len(present)):
+            return None
+        if not request.target:
+            return self._shown
+        asked = self.content.fractions_of_target(request)
+        if asked is None or len(asked) != 2:
+            return None
+        return self._shown_at(float(asked[1]))
 
     @cached_property
     def _shown(self) -> PlanePatterns:
         assert isinstance(self.content, Labels)
         return PlanePatterns.of(self.views, self.content.present, self.orientations)
+
+    @cached_property
+    def _known(self) -> dict[float, PlanePatterns | None]:
+        return {}
+
+    def _shown_at(self, fraction: float) -> PlanePatterns | None:
+        """Return what the pictures show of a material of another fraction, found once."""
+        assert isinstance(self.content, Labels)
+        if fraction not in self._known:
+            self._known[fraction] = PlanePatterns.at_fraction(
+                self.views, self.content.present, fraction, self.orientations
+            )
+        return self._known[fraction]
 
     def part_of_run(self, request: Request, place: int) -> AbstractContextManager[None]:
         """Count what runs inside the block as the rounds of a run (0), or as what follows (1)."""

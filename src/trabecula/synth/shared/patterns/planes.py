@@ -10,7 +10,7 @@ slice shows, stay those of the given ones, and so do neighbours.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +31,9 @@ _FACES = [
 ]
 _ROUNDS = 60  # over all faces
 _NEVER = 1e-9  # density of cubes that do not occur
+_WINDOW = 32  # pixels a side of a window of a picture, at least
+_PARTS = 4  # of them along its shorter side, at most
+_NEAREST = 0.01  # of a fraction that any picture tells of
 _STEPS = 20  # of Newton's method, towards an Euler number
 
 
@@ -59,18 +62,49 @@ class PlanePatterns:
         """Measure pictures of labels, turned and mirrored as far as a volume may be; one picture
         that is seen across all axes in every way.
         """
-        order = tuple(present)
-        which = "all" if is_seen_alike(views) else orientations
+        order, which = tuple(present), _turns_of(views, orientations)
+        return cls._of_views(views, len(order), lambda image: _measure(image, order, which))
+
+    @classmethod
+    def at_fraction(
+        cls,
+        views: Sequence[View],
+        present: Sequence[int],
+        fraction: float,
+        orientations: str = "none",
+    ) -> PlanePatterns | None:
+        """Estimate those of a material with another fraction of the second of two phases, from how
+        they change with it from window to window of the pictures; None where these do not tell.
+
+        All pictures are taken to change by as much as the volume does.
+        """
+        order, which = tuple(present), _turns_of(views, orientations)
+        images = {id(view.image): view.image for view in views}
+        rises = {n: _Rise.of(image, order, which) for n, image in images.items()}
+        mean = float(np.mean([rise.fraction for rise in rises.values()]))
+        more = fraction - mean
+        if not all(rise.tells_of(more) for rise in rises.values()):
+            return None
+        return cls._of_views(views, len(order), lambda image: rises[id(image)].after(more))
+
+    @classmethod
+    def _of_views(
+        cls,
+        views: Sequence[View],
+        phases: int,
+        measure: Callable[[Image], tuple[list[np.ndarray], np.ndarray]],
+    ) -> PlanePatterns:
+        """Collect what is measured of the picture of every view."""
         along: list[list[np.ndarray]] = [[], [], []]
         squares: list[np.ndarray | None] = [None, None, None]
         images = {id(view.image): view.image for view in views}  # one may be seen in all planes
-        measured = {n: _measure(image, order, which) for n, image in images.items()}
+        measured = {n: measure(image) for n, image in images.items()}
         for view in views:
             own, squares[view.axis] = measured[id(view.image)]
             for line, axis in zip(own, view.across, strict=True):
                 along[axis].append(line)
         chords = tuple(np.mean(own, axis=0) if own else None for own in along)
-        return cls(len(order), chords, tuple(squares))
+        return cls(phases, chords, tuple(squares))
 
     def nearest_to(self, given: PatternDensities) -> PatternDensities:
         """Return the densities nearest to given ones that show what the pictures do."""
@@ -84,6 +118,65 @@ class PlanePatterns:
             kept = euler if STRIDES[number] == 1 else euler[:0]
             cubes[number] = _by_code(with_faces(_by_corner(before, shape), faces, kept))
         return replace(found, own=own)
+
+
+@dataclass(frozen=True)
+class _Rise:
+    """Chords and squares of a picture of two phases, and by how much they rise with the fraction of
+    the second one from window to window; `below` and `above` its own fraction windows are found.
+    """
+
+    chords: list[np.ndarray]
+    squares: np.ndarray
+    chord_slopes: list[np.ndarray]
+    square_slopes: np.ndarray
+    fraction: float
+    below: float
+    above: float
+
+    @classmethod
+    def of(cls, image: Image, order: tuple[int, ...], which: str) -> _Rise:
+        """Measure a picture and its windows."""
+        chords, squares = _measure(image, order, which)
+        fraction = float(np.mean(image.values == order[1]))
+        windows = list(_windows(image))
+        far = np.array([float(np.mean(one.values == order[1])) for one in windows]) - fraction
+        parts = [_measure(one, order, which) for one in windows]
+        weights = far / max(float(np.square(far).sum()), _NEVER)
+        pairs = list(zip(weights, parts, strict=True))
+        chord_slopes = [
+            sum((weight * (part[0][n] - own) for weight, part in pairs), np.zeros_like(own))
+            for n, own in enumerate(chords)
+        ]
+        square_slopes = sum(
+            (weight * (part[1] - squares) for weight, part in pairs), np.zeros_like(squares)
+        )
+        ends = (-far).max(initial=0.0), far.max(initial=0.0)
+        return cls(chords, squares, chord_slopes, square_slopes, fraction, *map(float, ends))
+
+    def tells_of(self, more: float) -> bool:
+        """Return whether there are windows whose fraction is so much higher."""
+        return -max(self.below, _NEAREST) <= more <= max(self.above, _NEAREST)
+
+    def after(self, more: float) -> tuple[list[np.ndarray], np.ndarray]:
+        """Return chords and squares where the fraction is so much higher."""
+        pairs = zip(self.chords, self.chord_slopes, strict=True)
+        chords = [np.maximum(own + more * slope, 0) for own, slope in pairs]
+        squares = np.maximum(self.squares + more * self.square_slopes, 0)
+        return chords, squares / squares.sum(axis=(1, 2, 3, 4), keepdims=True)
+
+
+def _windows(image: Image) -> Iterator[Image]:
+    """Yield the windows of a picture, side by side."""
+    width = max(_WINDOW, min(image.shape) // _PARTS)
+    for y, x in np.ndindex(*(side // width for side in image.shape)):
+        inside = (slice(y * width, (y + 1) * width), slice(x * width, (x + 1) * width))
+        yield replace(image, values=np.ascontiguousarray(image.values[inside]))
+
+
+def _turns_of(views: Sequence[View], orientations: str) -> str:
+    """Name the symmetries in which pictures count."""
+    return "all" if is_seen_alike(views) else orientations
 
 
 def _measure(
