@@ -104,6 +104,8 @@ def _join_each(
 
     Returns the number of joins, the voxels filled, and the length of the longest join.
     """
+    if len(runs.sizes) < 2:
+        return 0, 0, 0
     body = int(np.argmax(runs.sizes)) + 1
     chosen = runs.sizes >= least
     chosen[body - 1] = False

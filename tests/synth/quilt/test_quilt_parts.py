@@ -380,3 +380,6 @@ def test_small_components_and_far_ones_stay():
     canvas[2, 3, 8] = 1  # an island
     told = join_rest(canvas, classes, (False,) * 3, void=0, patch=5, brush=1, least=10)
     assert told == {"joins": 0, "join_voxels": 0, "loose": 3 * 45}
+    nothing = np.zeros_like(canvas)
+    told = join_rest(nothing, classes, (False,) * 3, void=0, patch=5, brush=1, least=10)
+    assert told == {"joins": 0, "join_voxels": 0, "loose": 0} and not nothing.any()
