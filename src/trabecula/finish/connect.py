@@ -3,7 +3,7 @@
 1. Number the components; the largest is the body, those below a stated size are specks.
 2. Join the others along a minimum spanning tree (`cheapest_joins`), at any distance. Where a reach
    is given, search from every component through the background for the body instead, at most
-   `reach` voxels far (`shortest_join`), and repeat, since a component that has been joined may
+   `reach` voxels far (`join_near`), and repeat, since a component that has been joined may
    bring others within reach.
 3. Components that are still loose become background: specks, and with a reach those farther away.
 
@@ -36,12 +36,9 @@ from trabecula.finish.periodic import (
 )
 from trabecula.measure.joins import cheapest_joins
 from trabecula.measure.labelling import joined_across
-from trabecula.measure.near_joins import fill_path, join_near
+from trabecula.measure.near_joins import JOINED_AT_ONCE, fill_path, join_near
 from trabecula.measure.phases import as_connectivity, as_periodic, members
 from trabecula.measure.runs import Runs, runs_of
-
-_SOME = 32
-"""Components that are joined before pages of memory-mapped arrays are released."""
 
 _SHARE = 0.005
 """Largest share of the phase that a speck may have, where `min_size` is not given."""
@@ -259,7 +256,7 @@ def _join_all(
     for number, path in enumerate(paths):
         filled += fill_path(values, path, background, brush, inside, wraps)
         longest = max(longest, len(path) - 1)
-        if number % _SOME == 0:
+        if number % JOINED_AT_ONCE == 0:
             memmap.release_pages()
     return {"joins": len(paths), "added": filled, "longest": longest}
 

@@ -1,11 +1,11 @@
 """Joins of components to the body, the largest of them, through the background within a reach
 (`measure.joins` has the minimum spanning tree of all, at any distance).
 
-`shortest_join` finds the path block by block. All shortest paths
-from a component have an order: by the voxel that they start from, then by the side through which
-each next voxel is entered. A search in a box finds the first of those inside it. A path is no
-longer than `reach`, so blocks of the component, with a halo of `reach` voxels, hold every path; the
-first of theirs is the first of all, and the search takes the memory of one block.
+Each is found block by block. All shortest paths from a component have an order: by the voxel that
+they start from, then by the side through which each next voxel is entered. A search in a box finds
+the first of those inside it. A path is no longer than `reach`, so blocks of the component, with a
+halo of `reach` voxels, hold every path; the first of theirs is the first of all, and the search
+takes the memory of one block.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from trabecula.measure.runs import Runs
 SIDE = 128
 """Voxels along an edge of a block that is searched from, where no other is named."""
 
-_SOME = 32
+JOINED_AT_ONCE = 32
 """Components that are joined before pages of memory-mapped arrays are released."""
 
 _BODY, _LOOSE, _OPEN, _CLOSED = 1, 2, 3, 4
@@ -77,7 +77,14 @@ def join_near(
     found = {"joins": 0, "added": 0, "longest": 0}
     while True:
         joins, filled, longest = _join_each(
-            values, runs, background, reach, brush, least, inside, side
+            values,
+            runs,
+            background,
+            reach=reach,
+            brush=brush,
+            least=least,
+            inside=inside,
+            side=side or SIDE,
         )
         if not joins:
             return found, runs
@@ -94,11 +101,12 @@ def _join_each(
     values: np.ndarray,
     runs: Runs,
     background: int,
+    *,
     reach: int,
     brush: int,
     least: int,
     inside: np.ndarray | None,
-    side: int | None,
+    side: int,
 ) -> tuple[int, int, int]:
     """Join every component within reach of the body, in place.
 
@@ -116,14 +124,22 @@ def _join_each(
     for number, (component, bounds) in enumerate(
         zip(np.flatnonzero(chosen) + 1, runs.boxes(chosen).tolist(), strict=True)
     ):
-        path = shortest_join(
-            values, runs, bounds, component, body, background, worth, reach, inside, side
+        path = _shortest_join(
+            values,
+            runs,
+            bounds,
+            (component, body),
+            background,
+            worth,
+            reach=reach,
+            inside=inside,
+            side=side,
         )
         if len(path):
             joins += 1
             filled += fill_path(values, path, background, brush, inside)
             longest = max(longest, len(path) - 1)
-        if number % _SOME == 0:
+        if number % JOINED_AT_ONCE == 0:
             memmap.release_pages()
     return joins, filled, longest
 
@@ -146,17 +162,17 @@ def fill_path(
     return int(_fill(values, path, background, brush, where, np.array(wraps)))
 
 
-def shortest_join(
+def _shortest_join(
     values: np.ndarray,
     runs: Runs,
     bounds: Sequence[int],
-    component: int,
-    body: int,
+    ends: tuple[int, int],
     background: int,
     worth: np.ndarray,
+    *,
     reach: int,
-    inside: np.ndarray | None = None,
-    side: int | None = None,
+    inside: np.ndarray | None,
+    side: int,
 ) -> np.ndarray:
     """Return the first of the shortest paths (n, 3), beginning with a voxel of the component.
 
@@ -169,29 +185,27 @@ def shortest_join(
         Their components.
     bounds : six ints
         The component's first voxel and the one past its last, along z, y, x.
-    component, body : int
-        Numbers of the two components.
+    ends : two ints
+        Numbers of the component and of the body.
     background : int
         Label that the path runs through.
     worth : (n + 1,) bool
         True for components that will stay; element 0 is of no component.
     reach : int
         Longest path, in voxels of background.
-    inside : (Z, Y, X) bool, optional
-        Voxels that paths may run through. Default: all.
-    side : int, optional
-        Voxels along an edge of a block. Default: `SIDE`.
+    inside : (Z, Y, X) bool, or None
+        Voxels that paths may run through; None: all.
+    side : int
+        Voxels along an edge of a block.
     """
     best: tuple[tuple[int, ...], np.ndarray] | None = None
     low = np.array(bounds[:3])
     cores = boxes_of(
-        [stop - start for start, stop in zip(bounds[:3], bounds[3:], strict=True)], side or SIDE
+        [stop - start for start, stop in zip(bounds[:3], bounds[3:], strict=True)], side
     )
     for core in cores:
         box = _around(core, low, reach + 1, values.shape)
-        state = _states(
-            runs.labels(box), values[slices_of(box)], component, body, background, worth
-        )
+        state = _states(runs.labels(box), values[slices_of(box)], *ends, background, worth)
         if inside is not None:
             state[(state == _OPEN) & ~inside[slices_of(box)]] = _CLOSED
         path = _shortest_path(state, reach) + np.array([start for start, _ in box])

@@ -10,7 +10,7 @@ neither the voxels nor their runs have to fit into memory.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import prod
 
@@ -158,6 +158,14 @@ RUN_BYTES = 24
 """Of a run while it is numbered: two ends, its parent, its label, and its size where it is a
 component of its own.
 """
+
+_APART = 8  # voxels from one run of a phase to the next, at least, in the mean
+
+
+def run_bytes(shape: Sequence[int]) -> int:
+    """Return the memory of the runs of a phase of a material, at most."""
+    return RUN_BYTES * (prod(shape) // _APART)
+
 
 INSIDE = np.arange(256) > 0
 """The members of a boolean array."""

@@ -24,7 +24,7 @@ from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
 from trabecula.measure.labelling import joined_across, pairs_across
 from trabecula.measure.near_joins import join_near, search_bytes
-from trabecula.measure.runs import RUN_BYTES, Runs, merge_labels, runs_of
+from trabecula.measure.runs import Runs, merge_labels, run_bytes, runs_of
 from trabecula.synth.quilt.canvas import EMPTY, FIXED, OUT
 from trabecula.synth.quilt.connectivity_kernels import (
     ENDS,
@@ -51,8 +51,6 @@ SOLID, VOID = 1, 2
 _ALWAYS = 1 << 40  # ends of the open void
 
 _MORE = 4096  # rows by which the table grows
-
-_RUN = 8  # voxels from one run of the solid to the next, at least, in the mean
 
 
 def voxel_classes(connected: str, void: int, labels: int) -> np.ndarray:
@@ -476,15 +474,14 @@ def join_rest(
         least=least,
         side=patch,
     )
-    loose = runs.sizes[runs.sizes >= least].sum() - runs.sizes.max(initial=0)
+    others = np.sort(runs.sizes)[:-1]
     return {
         "joins": found["joins"],
         "join_voxels": found["added"],
-        "loose": max(0, int(loose)),
+        "loose": int(others[others >= least].sum()),
     }
 
 
 def join_bytes(shape: Sequence[int], patch: int, *, mapped: bool) -> int:
     """Return the memory of `join_rest`, at most, beside the canvas; runs may be memory-mapped."""
-    runs = 0 if mapped else RUN_BYTES * (int(np.prod(shape)) // _RUN)
-    return search_bytes(shape, patch, patch) + runs
+    return search_bytes(shape, patch, patch) + (0 if mapped else run_bytes(shape))

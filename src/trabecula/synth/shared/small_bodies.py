@@ -25,7 +25,7 @@ from trabecula.engine.chunking import Box
 from trabecula.engine.memory import Array, Stage
 from trabecula.measure.dilate import dilate
 from trabecula.measure.labelling import label_components
-from trabecula.measure.runs import RUN_BYTES, Runs, runs_of
+from trabecula.measure.runs import Runs, run_bytes, runs_of
 from trabecula.synth.shared.content.fields import FULL, UNIT
 from trabecula.synth.shared.content.kinds import Labels, free_voxels
 
@@ -38,7 +38,6 @@ result."""
 _APART = 2  # voxels around a body in which there is none of its phase
 _LESS = 0.05  # of its surroundings that may be another phase than in the exemplar
 _CHANGE = 0.01  # of a phase: by how much more may be taken away than is placed
-_RUN = 8  # voxels from one run of a phase to the next, at least, in the mean
 _TRIES = 100  # places that are tried for a body
 _CORNERS, _FACES = 26, 6  # neighbours: what touches at a corner, or at a face
 
@@ -258,12 +257,11 @@ def body_stages(shape: Sequence[int], channels: int, *, known: bool) -> tuple[St
     """Declare the arrays of the count: votes, labels, the runs of a phase, and beside known voxels
     the free ones.
     """
-    runs = int(np.prod(shape)) // _RUN
     arrays = {
         "votes": Array((channels, *shape), np.int16),
         "values": Array(shape, np.uint8),
         "free": Array(shape, bool) if known else None,
-        "runs": Array(RUN_BYTES * runs, np.uint8, at_most=True),
+        "runs": Array(run_bytes(shape), np.uint8, at_most=True),
     }
     return (Stage("small bodies", arrays),)
 

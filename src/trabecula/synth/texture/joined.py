@@ -22,7 +22,7 @@ from trabecula.engine.memory import Array, Stage
 from trabecula.engine.parallel import for_slabs, in_order
 from trabecula.measure.joins import cheapest_joins
 from trabecula.measure.labelling import joined_across
-from trabecula.measure.runs import INSIDE, RUN_BYTES, Runs, runs_of
+from trabecula.measure.runs import INSIDE, Runs, run_bytes, runs_of
 from trabecula.synth.shared.content.fields import FULL
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Stack
@@ -34,7 +34,6 @@ _ROUND = 1.5  # half thicknesses of plates (V / S), as the radius: between plate
 _LEAST = 0.75  # voxels, radius of a strut
 _COST = 3  # bits of the field that the cost of a voxel leaves out
 _AWAY = 32  # field of what was a crumb, beyond the interface: a voxel
-_RUN = 8  # voxels from one run of a phase to the next, at least, in the mean
 _FACES = 6
 
 
@@ -99,7 +98,7 @@ def join_stages(shape: Sequence[int]) -> tuple[Stage, ...]:
     voxels = int(np.prod(shape))
     held = {"inside": Array(shape, np.uint8), "cost": Array(shape, np.uint8)}
     # the nearest component of every voxel, its distance, what is open, and the runs
-    return (Stage("join components", held, 7 * voxels + RUN_BYTES * voxels // _RUN),)
+    return (Stage("join components", held, 7 * voxels + run_bytes(shape)),)
 
 
 def join_components(field: np.ndarray, region: Region, struts: StrutField) -> int:

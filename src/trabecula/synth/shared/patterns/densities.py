@@ -17,7 +17,7 @@ from trabecula.synth.shared.patterns.counts import Bins, Patterns
 _BEYOND = 1.25
 """How far a fraction may be from the exemplar's, over the farthest that windows of it are."""
 
-_NEAREST = 0.01
+NEAREST = 0.01
 """Of a fraction that any exemplar has."""
 
 
@@ -85,6 +85,6 @@ class PatternDensities:
         """
         assert self.slopes is not None  # learnt `by_fraction`
         more = fraction - self.fraction
-        if not -max(_BEYOND * self.below, _NEAREST) <= more <= max(_BEYOND * self.above, _NEAREST):
+        if not -max(_BEYOND * self.below, NEAREST) <= more <= max(_BEYOND * self.above, NEAREST):
             return None
         return np.asarray(np.maximum(self.own + more * self.slopes, 0))

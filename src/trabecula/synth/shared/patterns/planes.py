@@ -20,7 +20,7 @@ from trabecula.exemplar.views import View, is_seen_alike
 from trabecula.synth.shared.content.phase_fractions import phases_of
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.patterns.counts import LEAST_VOXELS, MOST_PHASES, Patterns
-from trabecula.synth.shared.patterns.densities import PatternDensities
+from trabecula.synth.shared.patterns.densities import NEAREST, PatternDensities
 from trabecula.synth.shared.patterns.kernels import STRIDES
 
 _CORNERS = np.arange(8).reshape(2, 2, 2)
@@ -33,7 +33,6 @@ _ROUNDS = 60  # over all faces
 _NEVER = 1e-9  # density of cubes that do not occur
 _WINDOW = 32  # pixels a side of a window of a picture, at least
 _PARTS = 4  # of them along its shorter side, at most
-_NEAREST = 0.01  # of a fraction that any picture tells of
 _STEPS = 20  # of Newton's method, towards an Euler number
 
 
@@ -156,7 +155,7 @@ class _Rise:
 
     def tells_of(self, more: float) -> bool:
         """Return whether there are windows whose fraction is so much higher."""
-        return -max(self.below, _NEAREST) <= more <= max(self.above, _NEAREST)
+        return -max(self.below, NEAREST) <= more <= max(self.above, NEAREST)
 
     def after(self, more: float) -> tuple[list[np.ndarray], np.ndarray]:
         """Return chords and squares where the fraction is so much higher."""
