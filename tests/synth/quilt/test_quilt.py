@@ -13,6 +13,7 @@ from trabecula.engine import checkpoint
 from trabecula.errors import InputError, RequestError
 from trabecula.measure.labelling import label_components
 from trabecula.synth.api.registry import recorded_method
+from trabecula.synth.quilt.method import _gave_way_text
 from trabecula.synth.quilt.patch_library import remove_unconnected
 
 CELL = dict(patch=11, overlap=3, orientations="all")
@@ -244,6 +245,22 @@ def test_what_gave_way_is_joined_in_the_end():
     assert told["join_voxels"] == np.count_nonzero(before != after) < 0.15 * after.sum()
     assert (after >= before).all() and not after[~form].any()
     assert any(line.endswith("connect the solid") for line in summary)
+
+
+@pytest.mark.parametrize(
+    ("told", "end"),
+    [
+        ({}, "(finish.connect)"),
+        ({"joins": 0, "join_voxels": 0, "loose": 0}, "the solid is one component all the same"),
+        ({"joins": 2, "join_voxels": 9, "loose": 0}, "2 joins of 9 voxels connect the solid"),
+        ({"joins": 2, "join_voxels": 9, "loose": 50}, "(finish.connect)"),
+    ],
+)
+def test_a_line_says_what_became_of_places_that_gave_way(told, end):
+    at = {"voxel": [0, 4, 8], "in": "connectivity"}
+    line = _gave_way_text({"places": 30, "gave_way": 1, "gave_way_at": [at], **told})
+    assert line.startswith("1 of 30 places gave way in connectivity") and line.endswith(end)
+    assert ("but for 50 voxels" in line) == (told.get("loose") == 50)
 
 
 def test_a_recipe_of_before_joins_nothing():

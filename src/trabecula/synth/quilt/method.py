@@ -190,7 +190,7 @@ def _gave_way_text(summary: Mapping[str, Any]) -> str:
         return found + "look at more candidates, or finish the part (finish.connect)"
     joined = f"{summary['joins']} joins of {summary['join_voxels']} voxels connect the solid"
     if not summary["loose"]:
-        return found + joined
+        return found + (joined if summary["joins"] else "the solid is one component all the same")
     return (
         f"{found}{joined} but for {summary['loose']} voxels: look at more candidates, or finish "
         "the part (finish.connect)"
