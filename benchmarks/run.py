@@ -178,6 +178,7 @@ CASES: dict[str, Callable[[], None]] = {
     "big_whole": big_whole.big_whole,
     "properties": properties.properties,
     "property_fields": properties.property_fields,
+    "window_properties": properties.window_properties,
     "papers": papers.papers,
     "view_still": view.view_still,
     "view_page": view.view_page,

@@ -163,7 +163,7 @@ def _add_measure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--name",
         default="volume_fraction",
-        help="descriptor: volume_fraction (default), porosity, ...",
+        help="descriptor: volume_fraction (default), porosity, surface, apparent_stiffness:z, ...",
     )
     parser.add_argument("--size", required=True, metavar="N", help="side of the windows in voxels")
     parser.add_argument("--phase", metavar="NAME", help="phase that is measured (default: solid)")

@@ -173,8 +173,9 @@ def add_parts(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help="descriptor that the result is to have: porosity=0.25, volume_fraction=FILE (a field "
         "of the result's shape), orientation=Z,Y,X (or a .npy file of vectors, or a structure), "
-        "size=1.5 (or a field), or one property that is met by changing porosity: "
-        "permeability=2e-6, stiffness:z=0.05, ... (the image's unit)",
+        "size=1.5 (or a field), by quilt apparent_stiffness:z=FILE (of windows), or one property "
+        "that is met by changing porosity: permeability=2e-6, stiffness:z=0.05, ... (the image's "
+        "unit)",
     )
 
 

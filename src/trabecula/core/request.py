@@ -47,7 +47,10 @@ class Request:
         "volume_fraction:PHASE" the share of a phase, all 0 .. 1; "surface", "mean_curvature" and
         "euler" are densities of the Minkowski functionals of the solid, per voxel; of pictures
         "perimeter" and "euler"; "two_point:R" the two-point function of the solid at R voxels,
-        averaged over the axes. "orientation" is the direction that the exemplar's principal
+        averaged over the axes; "apparent_conductivity" and "apparent_stiffness" of the solid and
+        "apparent_diffusivity" of the void are those of windows of the size that the method says,
+        by themselves, relative to what carries them, the mean over the axes or along one, as in
+        "apparent_stiffness:z". "orientation" is the direction that the exemplar's principal
         fabric direction (the longest mean intercept) is turned to: a vector (z, y, x), or a field
         (Z, Y, X, 3) of them, sign and length free; "size" the factor on its lengths, 0.25 .. 4.
         Methods say which they honour. Fields are kept as float32 arrays.

@@ -22,6 +22,9 @@ RANGES = {
     "euler": (-np.inf, np.inf),
     "orientation": (-np.inf, np.inf),
     "size": (0.25, 4.0),
+    "apparent_conductivity": (0.0, 1.0),
+    "apparent_diffusivity": (0.0, 1.0),
+    "apparent_stiffness": (0.0, 1.0),
 }
 """Descriptors that can be targets, each with its range. Lengths of a density are voxels."""
 
@@ -33,6 +36,10 @@ OF_A_PHASE = "volume_fraction:"
 
 TWO_POINT = "two_point:"
 """Prefix of a distance in voxels: "two_point:4" is the two-point function of the solid at it."""
+
+APPARENT = ("apparent_conductivity", "apparent_diffusivity", "apparent_stiffness")
+"""Properties of windows by themselves, relative to those of what carries them; with an axis, as in
+"apparent_stiffness:z", along it."""
 
 Target = float | np.ndarray
 
@@ -91,7 +98,13 @@ def is_target(name: Any) -> bool:
     if not isinstance(name, str):
         return False
     of_a_phase = name.startswith(OF_A_PHASE) and name != OF_A_PHASE
-    return of_a_phase or name in RANGES or _is_two_point(name)
+    return of_a_phase or name in RANGES or _is_two_point(name) or is_apparent(name)
+
+
+def is_apparent(name: str) -> bool:
+    """Return whether a name is that of an apparent property, with or without an axis."""
+    head, colon, axis = name.partition(":")
+    return head in APPARENT and (not colon or axis in ("z", "y", "x"))
 
 
 def _is_two_point(name: str) -> bool:
@@ -150,7 +163,7 @@ def _as_value(value: Any, shape: tuple[int, ...], *, name: str) -> Target:
             )
         return as_directions(given, shape, name="the target orientation")
     share = name.startswith((OF_A_PHASE, TWO_POINT))
-    low, high = RANGES["volume_fraction" if share else name]
+    low, high = RANGES["volume_fraction" if share else name.partition(":")[0]]
     if isinstance(value, Image) and value.kind != "grey":
         raise InputError(
             f"the target {name} is an image of {value.kind}: give a field of numbers (kind='grey')"

@@ -1,4 +1,5 @@
-"""Local descriptors of an image as fields: volume fractions, Minkowski functionals, orientation.
+"""Local descriptors of an image as fields: volume fractions, Minkowski functionals, correlations,
+apparent properties, orientation.
 
 Every voxel, and every cube of 2x2x2 voxels, adds a number from a table (`measure.configurations`).
 The sum over a window follows from the one beside it: a layer enters, a layer leaves. The tables are
@@ -18,9 +19,10 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import as_number, as_spacing, check_name
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, phase_index
-from trabecula.core.target import TWO_POINT
+from trabecula.core.target import APPARENT, TWO_POINT, is_apparent
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_slabs
+from trabecula.fields.apparent import WIDEST, apparent_windows
 from trabecula.fields.grid import of_image
 from trabecula.measure.configurations import (
     cube_euler,
@@ -57,6 +59,11 @@ def windowed(
         "volume_fraction" (of `phase`), "porosity" (of the phase void), "volume_fraction:PHASE" (of
         that phase), "two_point:R" (of `phase`, at R voxels, 1 .. s - 1, averaged over the axes),
         and in 3-D "surface", "mean_curvature", "euler", in 2-D "perimeter", "euler" (of `phase`).
+        In 3-D also "apparent_conductivity" and "apparent_stiffness" (of `phase`, relative to its
+        own; Poisson's ratio .3) and "apparent_diffusivity" (of the phase void), each the mean over
+        the axes or along one, as in "apparent_stiffness:z": of a window by itself, as a cell of
+        the periodic medium that mirrors of it build (`measure.conductivity`, `measure.stiffness`).
+        Of windows of 64 voxels at most.
     phase : str or int, optional
         Default: "solid", which is every phase but "void".
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
@@ -70,7 +77,9 @@ def windowed(
         Element (z, y, x) belongs to the window with first voxel (z, y, x). Fractions are of the s^3
         voxels, two-point functions of the pairs with both ends inside; functionals are densities
         over the (s - 1)^3 cubes of 2x2x2 voxels inside it, as those of `measure.minkowski` of the
-        window.
+        window. Conductivity and diffusivity are solved in windows at every eighth of s, stiffness
+        at every half; between them they are interpolated (linearly, the quotient by the volume
+        fraction, or of stiffness by conductivity).
 
     Raises
     ------
@@ -95,6 +104,12 @@ def windowed(
     names = [names] if isinstance(names, str) else [str(name) for name in names]
     for name in names:
         _check_descriptor(name, image)
+        if is_apparent(name) and width > WIDEST:
+            raise InputError(
+                f"{name} is of windows of {WIDEST} voxels at most, asked for {width}: give a "
+                "smaller size, or measure the property of a larger volume as a whole "
+                "(tb.measure.conductivity, diffusivity, stiffness)"
+            )
     edges = as_spacing(spacing, ndim=image.ndim)
     neighbours = as_connectivity(connectivity, image.ndim)
     codes = _codes(inside) if set(names) & set(FUNCTIONALS[image.ndim]) else None
@@ -102,13 +117,19 @@ def windowed(
     for name in names:
         if name.startswith(TWO_POINT):
             fields[name] = _two_point(inside, _lag(name, width), width)
+        elif is_apparent(name):
+            void = name.startswith("apparent_diffusivity")
+            carries = image.values == _label("porosity", image) if void else inside
+            fields[name] = apparent_windows(
+                carries, _fractions(carries, width), name, width=width, edges=edges
+            )
         elif codes is not None and name in FUNCTIONALS[image.ndim]:
             fields[name] = _mean_of(
                 codes, _functional_table(name, edges, neighbours), [width - 1] * image.ndim
             )
         else:
             which = inside if name == "volume_fraction" else image.values == _label(name, image)
-            fields[name] = _mean_of(which.view(np.uint8), np.arange(256) == 1, [width] * image.ndim)
+            fields[name] = _fractions(which, width)
     return fields
 
 
@@ -126,8 +147,8 @@ def measure(
     ----------
     image : Image or array of labels, (Z, Y, X) or (Y, X)
     name : str
-        As for `windowed`: "volume_fraction", "porosity", "volume_fraction:PHASE", "surface"
-        ("perimeter" in 2-D), "mean_curvature" (3-D), "euler".
+        As for `windowed`: "volume_fraction", "porosity", "volume_fraction:PHASE", "two_point:R",
+        "surface" ("perimeter" in 2-D), "mean_curvature" (3-D), "euler", "apparent_stiffness:z".
     size : int
         Side of the windows in voxels.
     phase, connectivity
@@ -207,11 +228,12 @@ def directions(
 def _check_descriptor(name: str, image: Image) -> None:
     """Raise where an image has no such descriptor."""
     head, sign, _ = name.partition(":")
-    known = ("porosity", "volume_fraction", *FUNCTIONALS[image.ndim])
+    of_volumes = APPARENT if image.ndim == 3 else ()
+    known = ("porosity", "volume_fraction", *FUNCTIONALS[image.ndim], *of_volumes)
     if head == "volume_fraction" and sign:
         _label(name, image)
         return
-    if name.startswith(TWO_POINT):
+    if name.startswith(TWO_POINT) or (of_volumes and is_apparent(name)):
         return
     check_name(name, known, name=f"descriptor of {image.ndim}-D windows")
 
@@ -225,6 +247,11 @@ def _lag(name: str, width: int) -> int:
             f"in windows of {width}"
         )
     return int(lag)
+
+
+def _fractions(inside: np.ndarray, width: int) -> np.ndarray:
+    """Return the share of every window that is inside, float32."""
+    return _mean_of(inside.view(np.uint8), np.arange(256) == 1, [width] * inside.ndim)
 
 
 def _two_point(inside: np.ndarray, lag: int, width: int) -> np.ndarray:

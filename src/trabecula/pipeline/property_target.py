@@ -154,7 +154,7 @@ def match_property(
 
     Examples
     --------
-    >>> model = tb.method("texture", preset="fast").fit(tb.sample("bone").crop(32))
+    >>> model = tb.method("texture", preset="fast").fit(tb.crop(tb.sample("bone"), 48))
     ... # doctest: +SKIP
     >>> tb.match_property(model, 96, {"stiffness:z": 0.05}).met  # doctest: +SKIP
     True

@@ -419,3 +419,50 @@ def test_patches_are_chosen_by_their_two_point_function():
         for one in made
     )
     assert low < 0.1 and high > 0.25
+
+
+def plates():
+    """Return plates along z beside plates across it, of one volume fraction."""
+    z, y, x = np.indices((24, 24, 48))
+    return tb.Image(np.where(x < 24, y // 2 % 2, z // 2 % 2).astype(np.uint8), "labels")
+
+
+@pytest.mark.parametrize(
+    "name", ["apparent_conductivity:z", "apparent_diffusivity:z", "apparent_stiffness:z"]
+)
+def test_patches_are_chosen_by_their_apparent_properties(name):
+    model = tb.method("quilt", patch=8, overlap=2, connected="none", period="none").fit(plates())
+    values = model.library.describe_patches(0, name)
+    made = [
+        model.generate(20, seed=1, target={"volume_fraction": 0.5, name: float(value)})
+        for value in (values.min(), values.max())
+    ]
+    low, high = (tb.fields.windowed(one, size=8, names=[name])[name].mean() for one in made)
+    assert low < 0.1 and high > 0.35
+
+
+def test_turned_copies_have_the_apparent_properties_that_they_are_measured_to_have():
+    values = (np.random.default_rng(1).random((9, 10, 11)) < 0.6).astype(np.uint8)
+    config = dict(patch=8, overlap=2, connected="none", orientations="all")
+    library = tb.method("quilt", **config).fit(tb.Image(values, "labels")).library
+    for name in ("apparent_conductivity:z", "apparent_conductivity:x", "apparent_conductivity"):
+        for number in (0, 5, 17, 30, 47):
+            found = tb.fields.windowed(library.images[number], size=8, names=[name])[name]
+            assert np.allclose(library.describe_patches(number, name), found, atol=2e-3)
+    assert len(library.apparent) == 4  # each axis of the exemplar once, and the mean
+
+
+def test_apparent_properties_beside_turned_material_are_refused(cells, section):
+    model = tb.method("quilt", patch=11, overlap=3).fit(cells)
+    target = {"apparent_stiffness:z": 0.1, "orientation": (0, 0, 1)}
+    with pytest.raises(RequestError, match="ask for it without orientation and size"):
+        model.generate(20, seed=1, target=target)
+    flat = tb.method("quilt", connected="none").fit(section)
+    with pytest.raises(RequestError, match="is one of volumes, the exemplar is 2-D"):
+        flat.generate((40, 40), seed=1, target={"apparent_conductivity": 0.1})
+
+
+def test_methods_without_windows_refuse_apparent_properties():
+    model = tb.method("texture", preset="fast").fit(tb.crop(tb.sample("bone"), 40))
+    with pytest.raises(RequestError, match="cannot honour the target apparent_stiffness:z"):
+        model.generate(20, seed=1, target={"apparent_stiffness:z": 0.1})

@@ -23,7 +23,7 @@ from trabecula.core.image import Image, outline
 from trabecula.core.progress import whole_run
 from trabecula.core.recipe import Recipe, versions
 from trabecula.core.request import Request, check_exemplar
-from trabecula.core.target import OF_A_PHASE, TWO_POINT
+from trabecula.core.target import OF_A_PHASE, TWO_POINT, is_apparent
 from trabecula.engine import checkpoint, tensors
 from trabecula.engine.files import replacing
 from trabecula.engine.memory import Plan, check_budget, largest_within
@@ -369,6 +369,8 @@ class Model(ABC):
 
     def _knows_target(self, name: str) -> bool:
         known = self.capabilities.targets
+        if is_apparent(name):
+            return name.partition(":")[0] in known
         return name in known or any(
             head in known and name.startswith(head) for head in (OF_A_PHASE, TWO_POINT)
         )

@@ -17,7 +17,7 @@ import numpy as np
 
 from trabecula.core.errors import RequestError
 from trabecula.core.request import Request
-from trabecula.core.target import OF_A_PHASE, densities_of
+from trabecula.core.target import OF_A_PHASE, densities_of, is_apparent
 from trabecula.engine import memmap
 from trabecula.engine.compile import kernel
 from trabecula.synth.quilt.candidates import (
@@ -131,6 +131,8 @@ def check_descriptor(library: PatchLibrary, name: str) -> None:
         raise RequestError(
             f"the target {name} is of a phase that the exemplar lacks: it has {', '.join(phases)}"
         )
+    if library.flat and is_apparent(name):
+        raise RequestError(f"the target {name} is one of volumes, the exemplar is 2-D")
     if name in (("surface", "mean_curvature") if library.flat else ("perimeter",)):
         other = "perimeter" if library.flat else "surface"
         raise RequestError(

@@ -14,7 +14,7 @@ from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
 from trabecula.core.progress import notify
 from trabecula.core.request import Request
-from trabecula.core.target import FRAME, densities_of, frame_of
+from trabecula.core.target import FRAME, densities_of, frame_of, is_apparent
 from trabecula.engine.memory import forecast
 from trabecula.measure.runs import INSIDE
 from trabecula.synth.api.method import Method, Model
@@ -121,6 +121,12 @@ class QuiltModel(Model):
         return values.reshape(request.shape), run.trace
 
     def _check_request(self, request: Request) -> None:
+        apparent = [name for name in request.target if is_apparent(name)]
+        if apparent and frame_of(request.target):
+            raise RequestError(
+                f"{apparent[0]} is measured in the exemplar as it is, not in turned or scaled "
+                "copies: ask for it without orientation and size"
+            )
         super()._check_request(request)
         axes = zip(request.shape, request.periodic, strict=True)
         if any(wraps and side < self.patch + 4 for side, wraps in axes):

@@ -16,10 +16,12 @@ import numpy as np
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
+from trabecula.core.target import is_apparent
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import for_items
 from trabecula.fields.local import windowed
 from trabecula.measure.labelling import label_components, labels_at_faces
+from trabecula.measure.percolation import AXES
 from trabecula.numerics.bits import count_bits
 from trabecula.synth.quilt.config import QuiltConfig
 from trabecula.synth.quilt.period import agreement, cell_shifts, common_periods
@@ -52,6 +54,10 @@ class PatchLibrary:
     words : PackedLabels
     measured : mapping of str to tuple of float32 arrays
         Descriptors of every patch of every exemplar that do not follow from its labels alone.
+    turns : tuple of Symmetry
+        How the images of one exemplar are turned, one after the other.
+    apparent : dict of (int, str) to float32 array
+        Apparent properties of all windows of an image as far as they were solved.
     """
 
     images: tuple[Image, ...]
@@ -62,6 +68,8 @@ class PatchLibrary:
     shifts: np.ndarray
     words: PackedLabels
     measured: Mapping[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
+    turns: tuple[Symmetry, ...] = ()
+    apparent: dict[tuple[int, str], np.ndarray] = field(default_factory=dict)
 
     @classmethod
     def build(cls, exemplars: Sequence[Image], config: QuiltConfig) -> PatchLibrary:
@@ -84,7 +92,8 @@ class PatchLibrary:
         images = tuple(
             replace(exemplars[0], values=labels[0] if flat else labels) for labels in turned
         )
-        return cls(images, stack, patch, overlap, periods, cell_shifts(turned, periods), words)
+        shifts = cell_shifts(turned, periods)
+        return cls(images, stack, patch, overlap, periods, shifts, words, turns=turns)
 
     @property
     def flat(self) -> bool:
@@ -115,8 +124,24 @@ class PatchLibrary:
         if name in self.measured:
             return self.measured[name][number]
         image, off = self.images[number], (self.patch - self.descriptor_size) // 2
-        found = windowed(image, size=self.descriptor_size, names=[name])[name]
+        if is_apparent(name):
+            found = self._apparent(number, name)
+        else:
+            found = windowed(image, size=self.descriptor_size, names=[name])[name]
         return found[tuple(slice(off, off + side - self.patch + 1) for side in image.shape)]
+
+    def _apparent(self, number: int, name: str) -> np.ndarray:
+        """Return an apparent property of all windows of image `number`: those of the exemplar that
+        it is a turned copy of, solved once.
+        """
+        which = number % len(self.turns)
+        turn, first = self.turns[which], number - which
+        head, colon, axis = name.partition(":")
+        own = f"{head}:{AXES[turn.axes[AXES.index(axis)]]}" if colon else name
+        if (first, own) not in self.apparent:
+            found = windowed(self.images[first], size=self.descriptor_size, names=[own])
+            self.apparent[first, own] = found[own]
+        return np.asarray(apply_symmetry(self.apparent[first, own][None], turn)[0])
 
     @property
     def box(self) -> tuple[int, int, int]:

@@ -1,0 +1,105 @@
+"""Apparent conductivity, diffusivity and stiffness of windows, by name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from trabecula.core.progress import track
+from trabecula.engine.parallel import for_items
+from trabecula.measure.apparent.conduction import conduct_windows
+from trabecula.measure.apparent.elasticity import stretch_windows
+from trabecula.measure.mechanics.elements import brick_stiffness, isotropic, mean_strain
+
+CONDUCTION, ELASTICITY = "conductivity", "stiffness"
+
+_POISSON = 0.3  # as of `measure.stiffness`
+_CONDUCTION_TOLERANCE, _ELASTICITY_TOLERANCE = 1e-3, 1e-4  # of an energy; errors are below 1 %
+_AT_A_TIME = 64  # windows between reports of progress
+
+
+def apparent_along(
+    inside: np.ndarray,
+    corners: np.ndarray,
+    width: int,
+    *,
+    kind: str,
+    axis: int,
+    edges: Sequence[float],
+) -> np.ndarray:
+    """Return the conductivity or Young's modulus along an axis of windows of `width` voxels a side,
+    relative to the solid's, one for each of the corners (n, 3), float64.
+
+    Parameters
+    ----------
+    inside : (Z, Y, X) bool
+        The solid.
+    corners : (n, 3) int64
+        First voxels of the windows.
+    width : int
+    kind : {"conductivity", "stiffness"}
+        As `measure.conductivity` and `measure.stiffness` of the periodic medium that mirrors of a
+        window build.
+    axis : int
+    edges : three of float
+        Of the voxels.
+    """
+    order = (axis, *(other for other in range(3) if other != axis))
+    turned = np.ascontiguousarray(inside.transpose(order))
+    firsts = np.ascontiguousarray(corners[:, order])
+    sides = tuple(edges[other] / min(edges) for other in order)
+    found = np.empty(len(firsts))
+    parts = range(0, len(firsts), _AT_A_TIME)
+    for begin in track(parts, f"apparent {kind} of windows along {'zyx'[axis]}"):
+        some = slice(begin, begin + _AT_A_TIME)
+        solve = _conduct if kind == CONDUCTION else _stretch
+        solve(turned, firsts[some], width, sides, found[some])
+    return found
+
+
+def _conduct(
+    inside: np.ndarray,
+    corners: np.ndarray,
+    width: int,
+    edges: tuple[float, ...],
+    found: np.ndarray,
+) -> None:
+    pull = 1.0 / np.array(edges) ** 2
+
+    def work(start: int, stop: int) -> None:
+        conduct_windows(inside, corners, width, pull, _CONDUCTION_TOLERANCE, found, start, stop)
+
+    for_items(work, len(corners))
+
+
+def _stretch(
+    inside: np.ndarray,
+    corners: np.ndarray,
+    width: int,
+    edges: tuple[float, ...],
+    found: np.ndarray,
+) -> None:
+    material = isotropic(1.0, _POISSON)
+    volume = math.prod(edges)
+    blocks = brick_stiffness(material, edges).transpose(0, 2, 1, 3) / volume
+    brick = np.ascontiguousarray(blocks.reshape(24, 24))
+    # zz, the third of Voigt's order, is the stretch along the first axis
+    pull = material[2] @ mean_strain(edges).reshape(6, 24)
+
+    def work(start: int, stop: int) -> None:
+        stretch_windows(
+            inside,
+            corners,
+            width,
+            brick,
+            pull,
+            material[2, 2],
+            _ELASTICITY_TOLERANCE,
+            found,
+            start,
+            stop,
+        )
+
+    for_items(work, len(corners))
