@@ -24,8 +24,8 @@ class SmallSystem(NamedTuple):
     to be least; the load has no part that A cannot balance.
     """
 
-    own: np.ndarray
-    """(n,) float64: the diagonal of A, the preconditioner; unknowns where it is 0 stay 0."""
+    scale: np.ndarray
+    """(n,) float64: one over the diagonal of A, the preconditioner; 0 where that is 0."""
     residual: np.ndarray
     """(n,) float64."""
     direction: np.ndarray
@@ -38,11 +38,16 @@ class SmallSystem(NamedTuple):
 
 @inline
 def start_system(own, load):
-    """Return a system at x = 0, and the square of its residual, for the first step."""
+    """Return the system with the diagonal `own` of A at x = 0, and the square of its residual, for
+    the first step; unknowns where the diagonal is 0 stay 0.
+    """
     count = len(load)
-    system = SmallSystem(
-        own, load.copy(), np.zeros(count + 1), np.zeros(count + 1), np.zeros(_TRAIL)
-    )
+    scale = np.zeros(count)
+    for n in range(count):
+        if own[n] > 0.0:
+            scale[n] = 1.0 / own[n]
+    vectors = np.zeros(count + 1), np.zeros(count + 1)
+    system = SmallSystem(scale, load.copy(), vectors[0], vectors[1], np.zeros(_TRAIL))
     return system, _turn(system, 0.0)
 
 
@@ -58,12 +63,12 @@ def take_step(system, step, size, energy, tolerance):
     if not size > _EXACT * energy:
         return energy, size, True
     curve = 0.0
-    for n in range(len(system.own)):
+    for n in range(len(system.scale)):
         curve += system.direction[n] * system.product[n]
     if not curve > 0.0:
         return energy, size, True
     pace = size / curve
-    for n in range(len(system.own)):
+    for n in range(len(system.scale)):
         system.residual[n] -= pace * system.product[n]
     energy = max(energy - pace * size, 0.0)
     system.gains[step % _TRAIL] = pace * size
@@ -74,12 +79,11 @@ def take_step(system, step, size, energy, tolerance):
 @inline
 def _turn(system, before):
     """Turn the direction to the residual; return the residual's square, where it was `before`."""
-    own, residual, direction = system.own, system.residual, system.direction
+    scale, residual, direction = system.scale, system.residual, system.direction
     size = 0.0
-    for n in range(len(own)):
-        if own[n] > 0.0:
-            size += residual[n] * residual[n] / own[n]
+    for n in range(len(scale)):
+        size += residual[n] * residual[n] * scale[n]
     turn = size / before if before > 0.0 else 0.0
-    for n in range(len(own)):
-        direction[n] = residual[n] / own[n] + turn * direction[n] if own[n] > 0.0 else 0.0
+    for n in range(len(scale)):
+        direction[n] = residual[n] * scale[n] + turn * direction[n]
     return size

@@ -10,7 +10,7 @@ import numpy as np
 from trabecula.core.progress import track
 from trabecula.engine.parallel import for_items
 from trabecula.measure.apparent.conduction import conduct_windows
-from trabecula.measure.apparent.elasticity import stretch_windows
+from trabecula.measure.apparent.elasticity import brick_of, stretch_windows
 from trabecula.measure.mechanics.elements import brick_stiffness, isotropic, mean_strain
 
 CONDUCTION, ELASTICITY = "conductivity", "stiffness"
@@ -82,24 +82,12 @@ def _stretch(
     found: np.ndarray,
 ) -> None:
     material = isotropic(1.0, _POISSON)
-    volume = math.prod(edges)
-    blocks = brick_stiffness(material, edges).transpose(0, 2, 1, 3) / volume
-    brick = np.ascontiguousarray(blocks.reshape(24, 24))
     # zz, the third of Voigt's order, is the stretch along the first axis
     pull = material[2] @ mean_strain(edges).reshape(6, 24)
+    blocks = brick_stiffness(material, edges) / math.prod(edges)
+    brick = brick_of(blocks, pull, float(material[2, 2]))
 
     def work(start: int, stop: int) -> None:
-        stretch_windows(
-            inside,
-            corners,
-            width,
-            brick,
-            pull,
-            material[2, 2],
-            _ELASTICITY_TOLERANCE,
-            found,
-            start,
-            stop,
-        )
+        stretch_windows(inside, corners, width, brick, _ELASTICITY_TOLERANCE, found, start, stop)
 
     for_items(work, len(corners))
