@@ -27,37 +27,33 @@ def _conduct(inside, pull, tolerance):
     """
     axes = spanned_axes(inside)
     side = len(inside)
-    number = np.full((side + 2, side + 2, side + 2), -1, np.int32)
+    row = side + 2
+    number = np.zeros(len(axes), np.int64)  # from 1
     count = 0
-    for z in range(side):
-        for y in range(side):
-            for x in range(side):
-                if axes[z, y, x] & 1:
-                    number[z + 1, y + 1, x + 1] = count
-                    count += 1
-    beside = np.empty((count, 6), np.int32)
+    for n in range(len(axes)):
+        if axes[n] & 1:
+            count += 1
+            number[n] = count
+    beside = np.zeros(6 * count, np.int64)
     own, load = np.zeros(count), np.zeros(count)
     driven = 0.0
-    for z in range(1, side + 1):
-        for y in range(1, side + 1):
-            for x in range(1, side + 1):
-                n = number[z, y, x]
-                if n < 0:
-                    continue
-                beside[n, 0], beside[n, 1] = number[z - 1, y, x], number[z + 1, y, x]
-                beside[n, 2], beside[n, 3] = number[z, y - 1, x], number[z, y + 1, x]
-                beside[n, 4], beside[n, 5] = number[z, y, x - 1], number[z, y, x + 1]
-                for k in range(6):
-                    if beside[n, k] < 0:
-                        beside[n, k] = count  # nothing flows there
-                    else:
-                        own[n] += pull[k // 2]
-                if z == 1:
-                    own[n] += 2.0 * pull[0]
-                if z == side:
-                    own[n] += 2.0 * pull[0]
-                    load[n] = 2.0 * pull[0]
-                    driven += 2.0 * pull[0]
+    for n in range(len(axes)):
+        if number[n] == 0:
+            continue
+        at = number[n] - 1
+        for k in range(6):
+            by = row * row if k < 2 else row if k < 4 else 1
+            other = number[n + by * (2 * (k & 1) - 1)]
+            beside[6 * at + k] = other - 1 if other else count  # nothing flows there
+            if other:
+                own[at] += pull[k // 2]
+        layer = n // (row * row)
+        if layer == 1:
+            own[at] += 2.0 * pull[0]
+        if layer == side:
+            own[at] += 2.0 * pull[0]
+            load[at] = 2.0 * pull[0]
+            driven += 2.0 * pull[0]
     system, size = start_system(own, load)
     power, last = driven, False
     for step in range(MOST):
@@ -71,8 +67,8 @@ def _conduct(inside, pull, tolerance):
 @inline
 def _spread(beside, own, pull, vector, product):
     """Set the product of Laplace's matrix and a vector."""
-    for n in range(len(beside)):
-        b = beside[n]
-        total = own[n] * vector[n] - pull[0] * (vector[b[0]] + vector[b[1]])
-        total -= pull[1] * (vector[b[2]] + vector[b[3]])
-        product[n] = total - pull[2] * (vector[b[4]] + vector[b[5]])
+    for n in range(len(own)):
+        k = 6 * n
+        total = own[n] * vector[n] - pull[0] * (vector[beside[k]] + vector[beside[k + 1]])
+        total -= pull[1] * (vector[beside[k + 2]] + vector[beside[k + 3]])
+        product[n] = total - pull[2] * (vector[beside[k + 4]] + vector[beside[k + 5]])

@@ -15,7 +15,6 @@ from trabecula.engine.compile import inline, kernel
 from trabecula.measure.apparent.spans import spanned_axes
 from trabecula.numerics.small_systems import MOST, start_system, take_step
 
-
 _CORNERS, _OTHERS = 8, 2
 
 
@@ -71,42 +70,38 @@ def _stretch(inside, brick, tolerance):
     """
     axes = spanned_axes(inside)
     side = len(inside)
-    node = np.full((side + 1, side + 1, side + 1), -1, np.int32)
+    row = side + 2
+    place = np.zeros(len(axes), np.int64)  # of nodes, each at the first corner of its voxel
     bricks = 0
-    for z in range(side):
-        for y in range(side):
-            for x in range(side):
-                if axes[z, y, x]:
-                    bricks += 1
-                    for c in range(8):
-                        node[z + (c >> 2), y + (c >> 1 & 1), x + (c & 1)] = 0
+    for n in range(len(axes)):
+        if axes[n]:
+            bricks += 1
+            for c in range(8):
+                place[_corner_of(n, c, row)] = 1
     count = 2  # the upper faces across axes 1 and 2
-    for z in range(side + 1):
-        for y in range(side + 1):
-            for x in range(side + 1):
-                if node[z, y, x] == 0:
-                    node[z, y, x] = count
-                    count += 3
-    corner = np.empty((bricks, 24), np.int32)
+    for n in range(len(place)):
+        if place[n]:
+            place[n] = count
+            count += 3
+    corner = np.zeros(24 * bricks, np.int64)
     own, load = np.zeros(count + 1), np.zeros(count + 1)
-    n = 0
-    for z in range(side):
-        for y in range(side):
-            for x in range(side):
-                if not axes[z, y, x]:
-                    continue
-                for c in range(8):
-                    at = (z + (c >> 2), y + (c >> 1 & 1), x + (c & 1))
-                    for k in range(3):
-                        place = node[at] + k
-                        if at[k] == 0 or (k == 0 and at[k] == side):
-                            place = count  # held
-                        elif at[k] == side:
-                            place = k - 1
-                        corner[n, 3 * c + k] = place
-                        own[place] += brick.diagonal[k]
-                        load[place] -= brick.pull[3 * c + k]
-                n += 1
+    at = 0
+    for n in range(len(axes)):
+        if axes[n] == 0:
+            continue
+        for c in range(8):
+            node = _corner_of(n, c, row)
+            layers = (node // (row * row), node // row % row, node % row)
+            for k in range(3):
+                free = place[node] + k
+                if layers[k] == 1 or (k == 0 and layers[k] == side + 1):
+                    free = count  # held
+                elif layers[k] == side + 1:
+                    free = k - 1
+                corner[at] = free
+                own[free] += brick.diagonal[k]
+                load[free] -= brick.pull[3 * c + k]
+                at += 1
     system, size = start_system(own[:count], load[:count])
     energy, last = brick.whole * bricks, False
     for step in range(MOST):
@@ -118,13 +113,19 @@ def _stretch(inside, brick, tolerance):
 
 
 @inline
+def _corner_of(voxel, corner, row):
+    """Return the node at a corner of a voxel: the number of the voxel whose first corner it is."""
+    return voxel + ((corner >> 2) * row + (corner >> 1 & 1)) * row + (corner & 1)
+
+
+@inline
 def _strain(corner, brick, vector, product):
     """Set the product of the stiffness of all bricks and a vector."""
     product[:] = 0.0
-    mode, force = np.empty(24), np.empty(24)
-    for n in range(len(corner)):
+    mode, force = np.zeros(24), np.zeros(24)
+    for begin in range(0, len(corner), 24):
         for j in range(24):
-            mode[j] = vector[corner[n, j]]
+            mode[j] = vector[corner[begin + j]]
         _walsh(mode)
         for j in range(24):
             force[j] = (
@@ -134,7 +135,7 @@ def _strain(corner, brick, vector, product):
             )
         _walsh(force)
         for j in range(24):
-            product[corner[n, j]] += force[j]
+            product[corner[begin + j]] += force[j]
 
 
 @inline
