@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from trabecula.fields.grid import take_between
 from trabecula.measure.apparent import CONDUCTION, ELASTICITY, apparent_along
 from trabecula.measure.percolation import AXES
 
@@ -87,11 +88,5 @@ def _places(count: int, step: int) -> np.ndarray:
 def _between(values: np.ndarray, places: Sequence[np.ndarray], shape: Sequence[int]) -> np.ndarray:
     """Interpolate linearly from places to all of `shape`, axis by axis."""
     for axis, (at, side) in enumerate(zip(places, shape, strict=True)):
-        if len(at) == 1:
-            continue
-        here = np.arange(side)
-        lower = np.clip(np.searchsorted(at, here, side="right") - 1, 0, len(at) - 2)
-        share = (here - at[lower]) / (at[lower + 1] - at[lower])
-        share = share.reshape([-1 if other == axis else 1 for other in range(3)])
-        values = values.take(lower, axis) * (1 - share) + values.take(lower + 1, axis) * share
+        values = take_between(values, np.interp(np.arange(side), at, np.arange(len(at))), axis)
     return values

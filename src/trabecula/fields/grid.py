@@ -143,11 +143,17 @@ def resample_array(values: np.ndarray, shape: Sequence[int]) -> np.ndarray:
         if old == side:
             continue
         at = np.clip((np.arange(side) + 0.5) * old / side - 0.5, 0, old - 1)
-        lower = np.minimum(at.astype(np.int64), max(old - 2, 0))
-        share = (at - lower).reshape([-1 if k == axis else 1 for k in range(found.ndim)])
-        upper = np.minimum(lower + 1, old - 1)
-        found = found.take(lower, axis) * (1 - share) + found.take(upper, axis) * share
+        found = take_between(found, at, axis)
     return found
+
+
+def take_between(values: np.ndarray, at: np.ndarray, axis: int) -> np.ndarray:
+    """Take places along an axis, 0 .. side - 1, between whole numbers by linear interpolation."""
+    side = values.shape[axis]
+    lower = np.minimum(at.astype(np.int64), max(side - 2, 0))
+    upper = np.minimum(lower + 1, side - 1)
+    share = (at - lower).reshape([-1 if k == axis else 1 for k in range(values.ndim)])
+    return np.asarray(values.take(lower, axis) * (1 - share) + values.take(upper, axis) * share)
 
 
 def ramp(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from trabecula.measure.mechanics.elements import brick_stiffness, isotropic, mea
 CONDUCTION, ELASTICITY = "conductivity", "stiffness"
 
 _POISSON = 0.3  # as of `measure.stiffness`
-_CONDUCTION_TOLERANCE, _ELASTICITY_TOLERANCE = 1e-3, 1e-4  # of an energy; errors are below 1 %
+_TOLERANCE = {CONDUCTION: 1e-3, ELASTICITY: 1e-4}  # of an energy; errors are below 1 %
 _AT_A_TIME = 64  # windows between reports of progress
 
 
@@ -49,45 +51,22 @@ def apparent_along(
     order = (axis, *(other for other in range(3) if other != axis))
     turned = np.ascontiguousarray(inside.transpose(order))
     firsts = np.ascontiguousarray(corners[:, order])
-    sides = tuple(edges[other] / min(edges) for other in order)
+    solve, matter = _solver(kind, tuple(edges[other] / min(edges) for other in order))
     found = np.empty(len(firsts))
     parts = range(0, len(firsts), _AT_A_TIME)
     for begin in track(parts, f"apparent {kind} of windows along {'zyx'[axis]}"):
         some = slice(begin, begin + _AT_A_TIME)
-        solve = _conduct if kind == CONDUCTION else _stretch
-        solve(turned, firsts[some], width, sides, found[some])
+        work = partial(solve, turned, firsts[some], width, matter, _TOLERANCE[kind], found[some])
+        for_items(work, len(firsts[some]))
     return found
 
 
-def _conduct(
-    inside: np.ndarray,
-    corners: np.ndarray,
-    width: int,
-    edges: tuple[float, ...],
-    found: np.ndarray,
-) -> None:
-    pull = 1.0 / np.array(edges) ** 2
-
-    def work(start: int, stop: int) -> None:
-        conduct_windows(inside, corners, width, pull, _CONDUCTION_TOLERANCE, found, start, stop)
-
-    for_items(work, len(corners))
-
-
-def _stretch(
-    inside: np.ndarray,
-    corners: np.ndarray,
-    width: int,
-    edges: tuple[float, ...],
-    found: np.ndarray,
-) -> None:
+def _solver(kind: str, edges: tuple[float, ...]) -> tuple[Callable[..., None], Any]:
+    """Return the kernel of a property, and what it needs to know of voxels with these edges."""
+    if kind == CONDUCTION:
+        return conduct_windows, 1.0 / np.array(edges) ** 2
     material = isotropic(1.0, _POISSON)
     # zz, the third of Voigt's order, is the stretch along the first axis
     pull = material[2] @ mean_strain(edges).reshape(6, 24)
     blocks = brick_stiffness(material, edges) / math.prod(edges)
-    brick = brick_of(blocks, pull, float(material[2, 2]))
-
-    def work(start: int, stop: int) -> None:
-        stretch_windows(inside, corners, width, brick, _ELASTICITY_TOLERANCE, found, start, stop)
-
-    for_items(work, len(corners))
+    return stretch_windows, brick_of(blocks, pull, float(material[2, 2]))
