@@ -87,7 +87,10 @@ def test_phases_by_name():
     [
         ({"size": 1}, "size=1 is outside 2"),
         ({"size": 9}, "does not fit into"),
-        ({"size": 3, "names": ["perimeter"]}, "apparent_stiffness, euler, mean_curvature, porosity"),
+        (
+            {"size": 3, "names": ["perimeter"]},
+            "apparent_stiffness, euler, mean_curvature, porosity",
+        ),
         ({"size": 3, "names": ["volume_fraction:glue"]}, "unknown phase 'glue'"),
         ({"size": 3, "connectivity": 8}, "connectivity 8 does not exist in 3-D"),
     ],

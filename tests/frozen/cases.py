@@ -471,6 +471,12 @@ def _quilt_minkowski() -> tb.Image:
     return model("quilt").generate(SHAPE, seed=6, target=target)
 
 
+@case("quilt-apparent")
+def _quilt_apparent() -> tb.Image:
+    target = {"volume_fraction": 0.2, "apparent_stiffness:z": ramp(0.02, 0.08)}
+    return model("quilt").generate(SHAPE, seed=6, target=target)
+
+
 # Pictures from pictures, and no exemplar
 
 
