@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from trabecula.core.progress import part_of
 from trabecula.fields.grid import take_between
 from trabecula.measure.apparent import CONDUCTION, ELASTICITY, apparent_along
 from trabecula.measure.percolation import AXES
@@ -20,6 +21,7 @@ WIDEST = 64
 """Voxels a side of a window at most: it is solved without a hierarchy."""
 
 _PER_SIDE = {CONDUCTION: 8, ELASTICITY: 2}  # windows in a side
+_COST = {CONDUCTION: 1, ELASTICITY: 50}  # of a window, about
 
 
 def apparent_windows(
@@ -47,12 +49,16 @@ def apparent_windows(
         Of the voxels.
     """
     head, colon, axis = name.partition(":")
-    axes = (AXES.index(axis),) if colon else range(3)
-    total = np.zeros(fraction.shape)
+    axes = (AXES.index(axis),) if colon else (0, 1, 2)
+    kinds = (CONDUCTION, ELASTICITY) if head == "apparent_stiffness" else (CONDUCTION,)
+    costs = [_COST[kind] * _PER_SIDE[kind] ** 3 for _ in axes for kind in kinds]
+    total, done = np.zeros(fraction.shape), 0
     for along in axes:
-        values = _spread(inside, fraction, CONDUCTION, along, width, edges)
-        if head == "apparent_stiffness":
-            values = _spread(inside, values, ELASTICITY, along, width, edges)
+        values = fraction
+        for kind in kinds:
+            with part_of(costs, done):
+                values = _spread(inside, values, kind, along, width, edges)
+            done += 1
         total += values
     return (total / len(axes)).astype(np.float32)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.core.progress import track
+from trabecula.core.progress import report_count
 from trabecula.engine.parallel import for_items
 from trabecula.measure.apparent.conduction import conduct_windows
 from trabecula.measure.apparent.elasticity import brick_of, stretch_windows
@@ -53,11 +53,13 @@ def apparent_along(
     firsts = np.ascontiguousarray(corners[:, order])
     solve, matter = _solver(kind, tuple(edges[other] / min(edges) for other in order))
     found = np.empty(len(firsts))
-    parts = range(0, len(firsts), _AT_A_TIME)
-    for begin in track(parts, f"apparent {kind} of windows along {'zyx'[axis]}"):
+    label = f"apparent {kind} of windows along {'zyx'[axis]}"
+    for begin in range(0, len(firsts), _AT_A_TIME):
+        report_count(label, begin, len(firsts))
         some = slice(begin, begin + _AT_A_TIME)
         work = partial(solve, turned, firsts[some], width, matter, _TOLERANCE[kind], found[some])
         for_items(work, len(firsts[some]))
+    report_count(label, len(firsts), len(firsts))
     return found
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from trabecula.core.errors import RequestError
+from trabecula.core.progress import part
 from trabecula.core.request import Request
 from trabecula.core.target import OF_A_PHASE, densities_of, is_apparent
 from trabecula.engine import memmap
@@ -36,6 +37,8 @@ _BINS, _SAMPLES = 16, 6
 """Parts of the most important descriptor's range, and patches sampled in each for the mismatch."""
 
 _SLACK = 1e-6  # fields are float32
+
+_SOLVING = 0.9  # of the first run with an apparent property
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,8 @@ def check_targets(
     for name in densities_of(request.target):
         check_descriptor(library, name)
         if name not in held:
-            held[name] = descriptor_range(library, name)
+            with part(0.0, _SOLVING if is_apparent(name) else 0.0):
+                held[name] = descriptor_range(library, name)
         (least, most), (low, high) = target_range(request, name), held[name]
         if most < low - _SLACK or least > high + _SLACK:
             raise RequestError(
