@@ -50,6 +50,15 @@ def test_stiffness_is_that_of_a_medium_of_mirrors(axis):
     assert np.unique(field).size > 5
 
 
+def test_voxels_are_those_of_the_image():
+    values = random_solid((5, 5, 5), share=0.5)
+    name = "apparent_conductivity:x"
+    told = windowed(tb.Image(values, "labels", spacing=EDGES), size=5, names=[name])[name]
+    given = windowed(values, size=5, names=[name], spacing=EDGES)[name]
+    cubes = windowed(values, size=5, names=[name])[name]
+    assert told.item() == given.item() != cubes.item()
+
+
 def test_diffusivity_is_that_of_the_void():
     values = random_solid((7, 6, 6), share=0.4)
     field = windowed(values, size=6, names=["apparent_diffusivity:y"])["apparent_diffusivity:y"]

@@ -69,7 +69,8 @@ def windowed(
     connectivity : {6, 18, 26} in 3-D, {4, 8} in 2-D, optional
         Neighbours within the phase. Default: those that share a face.
     spacing : float or one per axis, optional
-        Voxel edges. Default: 1, so that densities are per voxel; the image's spacing is ignored.
+        Voxel edges. Default: 1, so that densities are per voxel and the image's spacing is ignored;
+        for apparent properties the image's.
 
     Returns
     -------
@@ -120,8 +121,9 @@ def windowed(
         elif is_apparent(name):
             void = name.startswith("apparent_diffusivity")
             carries = image.values == _label("porosity", image) if void else inside
+            own = image.spacing if spacing is None else edges
             fields[name] = apparent_windows(
-                carries, _fractions(carries, width), name, width=width, edges=edges
+                carries, _fractions(carries, width), name, width=width, edges=own
             )
         elif codes is not None and name in FUNCTIONALS[image.ndim]:
             fields[name] = _mean_of(

@@ -204,9 +204,9 @@ def _partner_mismatch(
     for axis, side in enumerate(library.box):
         if side > 1:
             near[(slice(None),) * axis + (slice(library.overlap),)] = True
-    for part in range(_BINS):
+    for level in range(_BINS):
         low, high = np.searchsorted(
-            pool.values[0], [part * (SCALE + 1) // _BINS, (part + 1) * (SCALE + 1) // _BINS]
+            pool.values[0], [level * (SCALE + 1) // _BINS, (level + 1) * (SCALE + 1) // _BINS]
         )
         shares = []
         for n in np.linspace(low, high - 1, min(_SAMPLES, high - low)).astype(int):
@@ -222,7 +222,7 @@ def _partner_mismatch(
             if own.any():
                 shares.append(int(mismatches(library.words, query, at[own]).min()) / query.voxels)
         if shares:
-            found[part] = np.mean(shares)
+            found[level] = np.mean(shares)
     known = np.flatnonzero(~np.isnan(found))
     return np.interp(np.arange(_BINS), known, found[known]) if len(known) else found
 
