@@ -151,12 +151,9 @@ def window_properties() -> None:
         low, high = np.quantile(values, [0.1, 0.9])
         ramp = fields.ramp((96, 64, 64), start=float(low), end=float(high)).values
         void = what.startswith("apparent_diffusivity")
-        order = np.argsort(1 - fraction if void else fraction, axis=None)[::97]
-        law = fit_law(
-            what.removeprefix("apparent_"),
-            np.ravel(1 - fraction if void else fraction)[order],
-            values.ravel()[order],
-        )
+        share = np.ravel(1 - fraction if void else fraction)
+        order = np.argsort(share)[::97]
+        law = fit_law(what.removeprefix("apparent_"), share[order], values.ravel()[order])
         carrying = ((ramp / law.coefficient) ** (1 / law.exponent)).clip(0, 1)
         ways = {
             "": {what: ramp},

@@ -80,9 +80,12 @@ def test_what_spans_nothing_carries_nothing():
     apart = np.zeros((8, 8, 8), np.uint8)
     apart[:4, 2:4, 2:4] = apart[5:, 2:4, 2:4] = 1  # a cut column
     apart[3:5, 5:7, 5:7] = 1  # an island
-    for word in ("conductivity", "stiffness"):
-        name = f"apparent_{word}:z"
-        assert windowed(apart, size=8, names=[name])[name].item() == 0
+    across = np.zeros((8, 8, 8), np.uint8)
+    across[2:4] = across[6] = 1  # plates that span the other axes alone
+    for values in (apart, across):
+        for word in ("conductivity", "stiffness"):
+            name = f"apparent_{word}:z"
+            assert windowed(values, size=8, names=[name])[name].item() == 0
 
 
 def test_sides_are_free_to_move():

@@ -13,6 +13,10 @@ from trabecula.core.errors import InputError
 from trabecula.core.image import Image
 from trabecula.core.recipe import Recipe
 
+APPARENT = ("apparent_conductivity", "apparent_diffusivity", "apparent_stiffness")
+"""Properties of windows by themselves, relative to those of what carries them; with an axis, as in
+"apparent_stiffness:z", along it."""
+
 RANGES = {
     "porosity": (0.0, 1.0),
     "volume_fraction": (0.0, 1.0),
@@ -22,9 +26,7 @@ RANGES = {
     "euler": (-np.inf, np.inf),
     "orientation": (-np.inf, np.inf),
     "size": (0.25, 4.0),
-    "apparent_conductivity": (0.0, 1.0),
-    "apparent_diffusivity": (0.0, 1.0),
-    "apparent_stiffness": (0.0, 1.0),
+    **dict.fromkeys(APPARENT, (0.0, 1.0)),
 }
 """Descriptors that can be targets, each with its range. Lengths of a density are voxels."""
 
@@ -36,10 +38,6 @@ OF_A_PHASE = "volume_fraction:"
 
 TWO_POINT = "two_point:"
 """Prefix of a distance in voxels: "two_point:4" is the two-point function of the solid at it."""
-
-APPARENT = ("apparent_conductivity", "apparent_diffusivity", "apparent_stiffness")
-"""Properties of windows by themselves, relative to those of what carries them; with an axis, as in
-"apparent_stiffness:z", along it."""
 
 Target = float | np.ndarray
 

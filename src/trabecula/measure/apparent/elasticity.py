@@ -72,12 +72,15 @@ def _stretch(inside, brick, tolerance):
     side = len(inside)
     row = side + 2
     place = np.zeros(len(axes), np.int64)  # of nodes, each at the first corner of its voxel
-    bricks = 0
+    bricks = bearing = 0
     for n in range(len(axes)):
+        bearing |= axes[n]
         if axes[n]:
             bricks += 1
             for c in range(8):
                 place[_corner_of(n, c, row)] = 1
+    if not bearing & 1:
+        return 0.0
     count = 2  # the upper faces across axes 1 and 2
     for n in range(len(place)):
         if place[n]:

@@ -14,6 +14,7 @@ from trabecula.engine.parallel import for_items
 from trabecula.measure.apparent.conduction import conduct_windows
 from trabecula.measure.apparent.elasticity import brick_of, stretch_windows
 from trabecula.measure.mechanics.elements import brick_stiffness, isotropic, mean_strain
+from trabecula.measure.percolation import AXES
 
 CONDUCTION, ELASTICITY = "conductivity", "stiffness"
 
@@ -53,7 +54,7 @@ def apparent_along(
     firsts = np.ascontiguousarray(corners[:, order])
     solve, matter = _solver(kind, tuple(edges[other] / min(edges) for other in order))
     found = np.empty(len(firsts))
-    label = f"apparent {kind} of windows along {'zyx'[axis]}"
+    label = f"apparent {kind} of windows along {AXES[axis]}"
     for begin in range(0, len(firsts), _AT_A_TIME):
         report_count(label, begin, len(firsts))
         some = slice(begin, begin + _AT_A_TIME)
