@@ -15,13 +15,18 @@ from scipy.sparse.linalg import spsolve
 
 import trabecula as tb
 from trabecula.measure.transport import (
+    aggregation,
     conduction,
+    conduction_system,
     conductivity,
     diffusivity,
     finest_level,
+    sweep_parts,
     tortuosity,
 )
 from trabecula.measure.transport.conduction_segments import ConductionSegments, multiply
+from trabecula.measure.transport.conduction_system import ConductionSystem
+from trabecula.measure.transport.section import percolating_voxels
 from trabecula.measure.transport.segments import compact_numbers
 
 volumes = arrays(np.uint8, (6, 6, 6), elements=st.integers(0, 1))
@@ -151,10 +156,11 @@ def test_equals_a_direct_solve(edges):
 
 
 def test_levels_built_part_by_part_are_those_of_the_whole(monkeypatch):
-    values = medium(3, (14, 11, 10))
+    values = medium(3, (30, 22, 20))
     whole = diffusivity(values, axis=0)
     monkeypatch.setattr(finest_level, "PART", 1)
-    assert diffusivity(values, axis=0) == whole and whole.iterations < 12
+    monkeypatch.setattr(aggregation, "_RUN", 2)
+    assert diffusivity(values, axis=0) == whole and whole.iterations < 15
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
@@ -166,13 +172,18 @@ def test_equal_potentials_drive_no_flux_in_any_precision(kind):
     active[3:5, 2:4, 1:9] = False
     part = ConductionSegments.of(values, active, np.array([1, 2]), face, labels)
     potential, flux = np.zeros(part.length, kind), np.zeros(part.length, kind)
-    number_of, slots = compact_numbers(part.table, part.length)
-    assert len(slots) == active.sum() == part.nodes and (number_of[slots] >= 0).all()
+    number_of, nodes = compact_numbers(part.table, part.length)
+    slots = np.flatnonzero(number_of >= 0)
+    assert len(slots) == active.sum() == part.nodes == nodes
+    assert (number_of[slots] == np.arange(nodes)).all()
     potential[slots] = 1 / 3
-    multiply(*part.matrix, potential, flux)
+    through = np.full(len(values) + 1, np.nan)
+    multiply(part.table, part.code, part.coupling, part.place, potential, flux, through)
     ends = np.zeros(values.shape)
     ends[[0, -1]] = labels[1 + values[[0, -1]]]
     np.testing.assert_array_equal(flux[slots], ends[active].astype(kind) * kind(1 / 3))
+    assert (through[1:-1] == 0).all()
+    assert through[[0, -1]] == pytest.approx([-ends[0].sum() / 3, ends[-1].sum() / 3])
 
 
 def test_void_alone_is_the_limit_of_a_poorly_conducting_solid():
@@ -264,6 +275,68 @@ def test_threads_change_no_bit():
         one = diffusivity(values, axis=0)
     with tb.threads(2):
         assert diffusivity(values, axis=0) == one
+
+
+@pytest.fixture
+def thin_parts(monkeypatch):
+    """Let every two planes be swept by themselves, on every level."""
+    monkeypatch.setattr(sweep_parts, "THIN", 2)
+    monkeypatch.setattr(conduction_system, "PART_SLOTS", 1)
+    monkeypatch.setattr(aggregation, "PART_NODES", 1)
+    monkeypatch.setattr(aggregation, "_RUN", 2)
+    monkeypatch.setattr(finest_level, "PART", 1)
+
+
+def system_of(values):
+    """Return the system of labels that conduct .3 and .7, with walls."""
+    active = percolating_voxels(np.random.default_rng(8).random(values.shape) < 0.8)
+    sigma = np.array([0.0, 0.3, 0.7])
+    face = np.sqrt(sigma[:, None] * sigma)[:, :, None] * [1.0, 0.37, 1.9]
+    part = ConductionSegments.of(values, active, np.array([1, 2]), face, sigma)
+    return ConductionSystem(part, np.float32)
+
+
+def test_sweeps_by_parts_leave_the_residual_that_is_restricted(thin_parts):
+    system = system_of(medium(5, (20, 15, 14)))
+    finest, below = system.finest, system.finest.below[0]
+    assert len(finest.parts) == 10 and len(below.parts) == 5
+    rng = np.random.default_rng(0)
+    nodes = compact_numbers(system.part.table, system.part.length)[0] >= 0
+    right = np.where(nodes, rng.random(len(nodes)), 0).astype(np.float32)
+    x = finest.presmooth(right, None).copy()
+    left = right - system.apply(x)
+    sums = np.bincount(finest.aggregate[nodes], left[nodes])
+    np.testing.assert_allclose(finest.restrict(right, x), sums, atol=1e-5)
+    right = rng.random(len(below.inverse)).astype(np.float32)
+    x = below.presmooth(right, None)
+    sums = np.bincount(below.aggregate, right - below.apply(x))
+    np.testing.assert_allclose(below.restrict(right, x), sums, atol=1e-5)
+
+
+def test_sweeps_by_parts_are_symmetric(thin_parts):
+    system = system_of(medium(5, (20, 15, 14)))
+    nodes = compact_numbers(system.part.table, system.part.length)[0] >= 0
+    for level, inside in ((system.finest, nodes), (system.finest.below[0], None)):
+        rng = np.random.default_rng(1)
+        count = len(nodes) if inside is not None else len(level.inverse)
+        some = np.ones(count, bool) if inside is None else inside
+        u, v = (np.where(some, rng.random(count) - 0.5, 0).astype(np.float32) for _ in range(2))
+        smoothed = [level.postsmooth(one, level.presmooth(one, None)).copy() for one in (u, v)]
+        there, back = float(v @ smoothed[0]), float(u @ smoothed[1])
+        assert there == pytest.approx(back, rel=1e-4, abs=1e-4) and abs(there) > 0.05
+
+
+def test_parts_change_the_way_alone(thin_parts, monkeypatch):
+    values = medium(7, (24, 24, 24), 0.3)
+    found = []
+    for count in (1, 2):
+        with tb.threads(count):
+            found.append(diffusivity(values, axis=1, tolerance=1e-7))
+    assert found[0] == found[1] and found[0].converged
+    monkeypatch.undo()
+    whole = diffusivity(values, axis=1, tolerance=1e-7)
+    assert found[0].value == pytest.approx(whole.value, rel=1e-6)
+    assert found[0].imbalance != whole.imbalance
 
 
 def test_box_is_the_centre_and_halving_compares_it_with_itself():

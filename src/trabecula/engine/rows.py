@@ -24,6 +24,13 @@ def add_row(row, values):
 
 
 @inline
+def add_scaled_row(row, factor, values):
+    """Add a multiple of values to a row that has as many, or fewer."""
+    for i in range(len(row)):
+        row[i] += factor * values[i]
+
+
+@inline
 def copy_block(block, values):
     """Write values into a block (rows, n) that has as many rows, and as many of each, or fewer."""
     for j in range(len(block)):

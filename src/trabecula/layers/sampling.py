@@ -15,7 +15,7 @@ import numpy as np
 
 from trabecula.engine.compile import kernel
 from trabecula.engine.lazy_volume import Slabs
-from trabecula.numerics.vectors import add_to
+from trabecula.engine.rows import add_scaled_row
 
 _MOST = 1 << 27  # bytes of planes that are kept between layers
 
@@ -154,7 +154,7 @@ def _average_rows(values, first, weights, result):
             for tap in range(weights.shape[1]):
                 at = first[y] + tap
                 if 0 <= at < values.shape[1] and weights[y, tap] > 0:
-                    add_to(result[p, y], weights[y, tap], values[p, at])
+                    add_scaled_row(result[p, y], weights[y, tap], values[p, at])
 
 
 @kernel

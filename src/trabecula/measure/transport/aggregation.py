@@ -16,17 +16,25 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from trabecula.engine.compile import kernel
 from trabecula.engine.parallel import one_blas_thread
 from trabecula.measure.transport.graph import Graph
+from trabecula.measure.transport.sweep_parts import SweptNodes, cut_planes, for_parts
 from trabecula.measure.union_find import join, number_trees
+from trabecula.numerics.vectors import for_chunks
 
 DIRECT = 256  # unknowns of the coarsest level, which is solved by its inverse
 _SLOWEST = 0.8  # of a level's nodes: one that keeps more of them is not worth its work
 _STRONG = 0.1  # couplings below this share of the strongest of either node do not aggregate
+_RUN = 32
+"""Parts whose couplings are held in one array."""
+PART_NODES = 1 << 18
+"""Of a part that is swept by itself, at least."""
 _SWEEPS = 20  # of a coarsest level that is too large for its inverse
 
 
@@ -43,6 +51,8 @@ class GraphLevel:
     """Number of nodes of the next level."""
     whole_inverse: np.ndarray | None
     """(N, N) float32: of the matrix, on a last level that is small enough."""
+    parts: Sequence[SweptNodes] = ()
+    """Of its nodes, swept at once; none on the last level."""
 
     def apply(self, x: np.ndarray) -> np.ndarray:
         """Return the matrix times x."""
@@ -51,23 +61,28 @@ class GraphLevel:
     def presmooth(self, right: np.ndarray, x: np.ndarray | None) -> np.ndarray:
         """Return the result of a forward Gauss-Seidel sweep from zero (the K-cycle has no other
         start)."""
-        g = self.graph
-        return _forward(g.start, g.middle, g.other, g.weight, self.inverse, right)
+        g, out = self.graph, np.empty(len(right), np.float32)
+        linked = g.start, g.middle, g.other, g.weight, self.inverse, right, out
+        for_parts(lambda part: _forward(*linked, part.start, part.edge, part.stop), self.parts)
+        return out
 
     def restrict(self, right: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return the residual of a swept x, summed over aggregates."""
-        g = self.graph
-        return _restrict(g.start, g.middle, g.other, g.weight, self.aggregate, x, self.count)
+        g, coarse = self.graph, np.zeros(self.count, np.float32)
+        linked = g.start, g.middle, g.other, g.weight, self.aggregate, x, coarse
+        for_parts(lambda part: _restrict(*linked, part.start, part.edge, part.stop), self.parts)
+        return coarse
 
     def prolong(self, correction: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Add the correction of its aggregate to every node."""
-        _prolong(self.aggregate, correction, x)
+        for_chunks(lambda a, b: _prolong(self.aggregate, correction, x, a, b), len(x))
         return x
 
     def postsmooth(self, right: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Smooth x by a backward Gauss-Seidel sweep."""
-        g = self.graph
-        _backward(g.start, g.other, g.weight, self.inverse, right, x)
+        g, old = self.graph, x.copy() if len(self.parts) > 1 else x
+        linked = g.start, g.other, g.weight, self.inverse, right, x, old
+        for_parts(lambda part: _backward(*linked, *part), self.parts)
         return x
 
     def solve(self, right: np.ndarray) -> np.ndarray:
@@ -88,49 +103,110 @@ def build_levels(graph: Graph) -> list[GraphLevel]:
             whole = _invert(graph) if small else None
             return [*levels, GraphLevel(graph.trim(), inverse, np.zeros(0, np.int32), 0, whole)]
         aggregate, below = coarser
-        levels.append(GraphLevel(graph.trim(), inverse, aggregate, len(below.diagonal), None))
+        parts = _cut_nodes(graph.place[:, 0], aggregate)
+        levels.append(
+            GraphLevel(graph.trim(), inverse, aggregate, len(below.diagonal), None, parts)
+        )
         graph = below
 
 
-def coarsen_parts(
-    parts: Sequence[Callable[[], Graph]], nodes: int
-) -> tuple[np.ndarray, Graph] | None:
-    """Return aggregates of blocks and the next level of a matrix that is never held as a whole:
-    part after part returns the rows of some nodes, no block in two of them; called once or twice.
+def _cut_nodes(plane: np.ndarray, aggregate: np.ndarray) -> list[SweptNodes]:
+    """Return parts of the nodes of planes in rising order; no aggregate is cut."""
+    begins = np.searchsorted(plane, np.arange(int(plane[-1]) + 2))
+    begins = begins[np.append(np.diff(begins) > 0, True)]
+    highest = np.maximum.accumulate(np.maximum.reduceat(aggregate, begins[:-1]))
+    lowest = np.minimum.reduceat(aggregate, begins[:-1])[::-1]
+    lowest = np.minimum.accumulate(lowest)[::-1]
+    allowed = np.append(False, highest[:-1] < lowest[1:])
+    return cut_planes(begins, np.diff(begins), allowed, PART_NODES)
+
+
+class RowsPart(NamedTuple):
+    """A part of a matrix: what returns its rows, of so many nodes and couplings at most."""
+
+    rows: Callable[[], Graph]
+    nodes: int
+    couplings: int
+
+
+def coarsen_parts(parts: Sequence[RowsPart]) -> tuple[np.ndarray, Graph] | None:
+    """Return aggregates of blocks and the next level of a matrix that is never held as a whole: no
+    block is in two parts, whose rows are asked for once or twice.
 
     None where blocks join few nodes.
     """
+    bounds = list(pairwise([0, *np.cumsum([part.nodes for part in parts]).tolist()]))
     for strong in (_STRONG, 0.0):
-        aggregate, count = np.empty(nodes, np.int32), 0
-        first = 0
-        for rows in parts:
-            part = rows()
-            strongest = _strongest_couplings(part.start, part.weight)
-            linked = part.start, part.middle, part.other, part.weight
-            found, more = _aggregate_blocks(*linked, strongest, part.place, strong, first)
-            last = first + len(found)
-            aggregate[first:last] = found + np.int32(count)
-            first, count = last, count + more
-        if count <= _SLOWEST * nodes:
-            return aggregate, _sum_parts(parts, aggregate, count)
+        aggregate, groups = _join_parts(parts, bounds, strong)
+        if groups[-1][1] <= _SLOWEST * len(aggregate):
+            return aggregate, _sum_parts(parts, aggregate, bounds, groups)
     return None
 
 
-def _sum_parts(parts: Sequence[Callable[[], Graph]], aggregate: np.ndarray, count: int) -> Graph:
-    """Return the matrix between aggregates, part after part."""
-    mark = np.full(count, -1, np.int64)
-    found: list[tuple[np.ndarray, ...]] = []
-    first = done = used = 0
-    for rows in parts:
-        part = rows()
-        last = first + len(part.place)
-        own = aggregate[first:last]
-        some = int(own.max()) + 1 - done
+def _join_parts(
+    parts: Sequence[RowsPart], bounds: Sequence[tuple[int, int]], strong: float
+) -> tuple[np.ndarray, list[tuple[int, int]]]:
+    """Return the aggregate of every node, and the first one of each part and of the next."""
+    aggregate, counts = np.empty(bounds[-1][1], np.int32), np.zeros(len(parts), np.int64)
+
+    def join_part(n: int) -> None:
+        part, (first, last) = parts[n].rows(), bounds[n]
+        linked = part.start, part.middle, part.other, part.weight
+        strongest = _strongest_couplings(part.start, part.weight)
+        found = _aggregate_blocks(*linked, strongest, part.place, strong, first)
+        aggregate[first:last], counts[n] = found
+
+    for_parts(join_part, range(len(parts)))
+    groups = list(pairwise([0, *np.cumsum(counts).tolist()]))
+    for (first, last), (before, _) in zip(bounds, groups, strict=True):
+        aggregate[first:last] += np.int32(before)
+    return aggregate, groups
+
+
+def _sum_parts(
+    parts: Sequence[RowsPart],
+    aggregate: np.ndarray,
+    bounds: Sequence[tuple[int, int]],
+    groups: Sequence[tuple[int, int]],
+) -> Graph:
+    """Return the matrix between aggregates, part after part: of the nodes within `bounds`, whose
+    aggregates are those within `groups`.
+
+    Couplings of several parts are held in one array, of which the rest is never touched: many small
+    ones would leave gaps in memory.
+    """
+    count = groups[-1][1]
+    begin, half = np.zeros((2, count), np.int64)
+    total, where = np.zeros(count), np.empty((count, 3), np.int16)
+    runs = list(pairwise([*range(0, len(parts), _RUN), len(parts)]))
+    found: list[tuple[np.ndarray, ...]] = [()] * len(runs)
+
+    def sum_part(n: int, mark: np.ndarray, used: int, to: np.ndarray, pull: np.ndarray) -> int:
+        """Return where its couplings end; its rows are held no longer than this call."""
+        part, (first, last), (done, end) = parts[n].rows(), bounds[n], groups[n]
         linked = *part.rows, part.middle, part.place
-        found.append(_galerkin(*linked, own - np.int32(done), some, aggregate, mark, done, used))
-        first, done, used = last, done + some, used + len(found[-1][2])
-    begin, *fields = [np.concatenate(field) for field in _columns(found)]
-    return Graph(np.append(begin, used), *fields)
+        out = begin[done:end], half[done:end], to, pull, total[done:end], where[done:end]
+        own = aggregate[first:last] - np.int32(done)
+        return int(_galerkin(*linked, own, aggregate, mark, done, used, *out))
+
+    def sum_run(number: int) -> None:
+        start, stop = runs[number]
+        room = sum(part.couplings for part in parts[start:stop])
+        to, pull = np.empty(room, np.int32), np.empty(room, np.float32)
+        mark, used = np.full(count, -1, np.int64), 0
+        for n in range(start, stop):
+            used = sum_part(n, mark, used, to, pull)
+        found[number] = to[:used], pull[:used]
+
+    for_parts(sum_run, range(len(runs)))
+    used = 0
+    for (start, stop), columns in zip(runs, found, strict=True):
+        inside = slice(groups[start][0], groups[stop - 1][1])
+        begin[inside] += used
+        half[inside] += used
+        used += len(columns[0])
+    to, pull = (np.concatenate(field) for field in _columns(found))
+    return Graph(np.append(begin, used), half, to, pull, total, where)
 
 
 def _columns(found: list[tuple[np.ndarray, ...]]) -> Iterator[list[np.ndarray]]:
@@ -146,8 +222,9 @@ def _coarsen(graph: Graph) -> tuple[np.ndarray, Graph] | None:
     nodes.
     """
     while True:
+        part = RowsPart(partial(_itself, graph), len(graph.place), len(graph.other))
         # weakly coupled nodes have to be joined at last, or the level would never get coarse
-        found = coarsen_parts([partial(_itself, graph)], len(graph.place))
+        found = coarsen_parts([part])
         if found is not None or not graph.place.any():
             return found
         graph = graph._replace(place=graph.place >> 1)  # no two neighbours in one block: double
@@ -177,43 +254,59 @@ def _times(matrix, right):
 
 
 @kernel
-def _forward(start, middle, other, weight, inverse, right):
-    """Sweep once by Gauss-Seidel from zero: only neighbours before a node have a value yet."""
-    x = np.empty(len(right), np.float32)
-    for i in range(len(right)):
+def _forward(start, middle, other, weight, inverse, right, x, first, edge, stop):
+    """Sweep the nodes first..stop once by Gauss-Seidel from zero: only neighbours before a node
+    have a value yet, and none of another part, as those before `edge` have.
+    """
+    for i in range(first, edge):
+        total = right[i]
+        for k in range(start[i], middle[i]):
+            if other[k] >= first:
+                total += weight[k] * x[other[k]]
+        x[i] = total * inverse[i]
+    for i in range(edge, stop):
         total = right[i]
         for k in range(start[i], middle[i]):
             total += weight[k] * x[other[k]]
         x[i] = total * inverse[i]
-    return x
 
 
 @kernel
-def _restrict(start, middle, other, weight, aggregate, x, count):
-    """Return the residual summed over aggregates: after a forward sweep, the sum over the later
-    neighbours.
+def _restrict(start, middle, other, weight, aggregate, x, coarse, first, edge, stop):
+    """Add the residual to aggregates: after a forward sweep, the sum over the later neighbours, and
+    over those of the part before.
     """
-    coarse = np.zeros(count, np.float32)
-    for i in range(len(x)):
+    for i in range(first, stop):
         total = np.float32(0.0)
         for k in range(middle[i], start[i + 1]):
             total += weight[k] * x[other[k]]
+        if i < edge:
+            for k in range(start[i], middle[i]):
+                if other[k] < first:
+                    total += weight[k] * x[other[k]]
         coarse[aggregate[i]] += total
-    return coarse
 
 
 @kernel
-def _prolong(aggregate, coarse, x):
-    for i in range(len(x)):
+def _prolong(aggregate, coarse, x, start, stop):
+    for i in range(start, stop):
         x[i] += coarse[aggregate[i]]
 
 
 @kernel
-def _backward(start, other, weight, inverse, right, x):
-    for i in range(len(x) - 1, -1, -1):
+def _backward(start, other, weight, inverse, right, x, old, first, edge, back, stop):
+    """Sweep the nodes first..stop once by Gauss-Seidel, the last one first; neighbours of other
+    parts, which those before `edge` and from `back` on have, are `old`.
+    """
+    for i in range(stop - 1, first - 1, -1):
         total = right[i]
-        for k in range(start[i], start[i + 1]):
-            total += weight[k] * x[other[k]]
+        if edge <= i < back:
+            for k in range(start[i], start[i + 1]):
+                total += weight[k] * x[other[k]]
+        else:
+            for k in range(start[i], start[i + 1]):
+                j = other[k]
+                total += weight[k] * (x[j] if first <= j < stop else old[j])
         x[i] = total * inverse[i]
 
 
@@ -279,20 +372,33 @@ def _list_members(aggregate, count):
 
 @kernel
 def _galerkin(
-    start, other, weight, diagonal, middle, place, own, count, aggregate, mark, done, used
+    start,
+    other,
+    weight,
+    diagonal,
+    middle,
+    place,
+    own,
+    aggregate,
+    mark,
+    done,
+    used,
+    begin,
+    half,
+    to,
+    pull,
+    total,
+    where,
 ):
-    """Return rows of the matrix between aggregates, as the fields of a Graph without the end of the
-    last row: sums of the couplings between them.
+    """Set rows of the matrix between aggregates, as the fields of a Graph: sums of the couplings
+    between them. Return where their couplings end.
 
-    The rows are those of nodes whose aggregates, less `done`, are `own`, `count` of them; before
-    them are `used` couplings. `mark` holds where the last coupling to an aggregate is.
+    The rows are those of nodes whose aggregates, less `done`, are `own`; before them are `used`
+    couplings. `mark` holds where the last coupling to an aggregate is.
     """
-    first, member = _list_members(own, count)
-    begin, half = np.zeros(count, np.int64), np.empty(count, np.int64)
-    to, pull = np.empty(len(other), np.int32), np.empty(len(other), np.float32)
-    total, where = np.zeros(count), np.empty((count, 3), np.int16)
+    first, member = _list_members(own, len(begin))
     at = used
-    for c in range(count):
+    for c in range(len(begin)):
         begin[c] = at
         for later in range(2):
             for m in range(first[c], first[c + 1]):
@@ -308,9 +414,9 @@ def _galerkin(
                     elif (a > c + done) == (later == 1):
                         if mark[a] < begin[c]:
                             mark[a] = at
-                            to[at - used], pull[at - used] = a, 0.0
+                            to[at], pull[at] = a, 0.0
                             at += 1
-                        pull[mark[a] - used] += weight[k]
+                        pull[mark[a]] += weight[k]
             if later == 0:
                 half[c] = at
-    return begin, half, to[: at - used].copy(), pull[: at - used].copy(), total, where
+    return at

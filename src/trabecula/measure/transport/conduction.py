@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from trabecula.core.checks import check_name, quote
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image, as_image, check_labels
-from trabecula.measure.phases import as_inside, indicator
+from trabecula.measure.phases import members
 from trabecula.measure.transport.conduction_segments import ConductionSegments
 from trabecula.measure.transport.conduction_system import ConductionSystem
 from trabecula.measure.transport.result import Effective, imbalance, not_percolating
@@ -26,8 +26,8 @@ _SINGLE = 1e-6  # tolerance from which on residual and directions are float32
 _MOST_CONTRAST = 1e12
 
 CONDUCTION_BYTES = 72
-"""Memory per voxel that conducts, at the peak: resident memory, from 40 to 160 voxels an edge; 25
-to 42 where structures are some voxels wide, 60 to 80 in white noise."""
+"""Memory per voxel that conducts, at the peak: resident memory, from 80 to 240 voxels an edge and
+of one thread or two; 13 to 40 where structures are some voxels wide, 57 to 81 in white noise."""
 
 
 def diffusivity(
@@ -89,10 +89,10 @@ def diffusivity(
     >>> round(diffusivity(duct, axis=0).value, 6), diffusivity(duct, axis=1).value
     (0.25, 0.0)
     """
-    image, inside = indicator(image, phase, default="void")
-    values = as_inside(inside).view(np.uint8).reshape(image.shape)
-    solver = _solver(np.array([0.0, 1.0]), tolerance)
-    return effective(image, values, solver, axis=axis, box=box, halving=halving)
+    image = as_image(image)
+    sigma = members(image, phase, default="void").astype(np.float64)
+    solver = _solver(sigma, tolerance)
+    return effective(image, image.values, solver, axis=axis, box=box, halving=halving)
 
 
 def tortuosity(
@@ -240,46 +240,47 @@ def _conduct(
     labels: np.ndarray, edges: np.ndarray, *, sigma: np.ndarray, tolerance: float
 ) -> Effective:
     """Solve for the conduction along the first axis; sigma of every label, at most 1."""
-    inside = sigma[labels] > 0.0
-    fraction = int(np.count_nonzero(inside)) / inside.size
-    active = percolating_voxels(inside)
-    if active is None:
-        return not_percolating(fraction)
     # Scaled by the smallest edge, so that couplings stay near 1 in any unit.
     pull = (edges.min() / edges) ** 2
-    part = _find_segments(labels, active, sigma, pull)
-    del inside, active
-    residual = part.driving_flux(np.float32 if tolerance >= _SINGLE else np.float64)
+    part, fraction = _find_segments(np.ascontiguousarray(labels), sigma, pull)
+    if part is None:
+        return not_percolating(fraction)
+    kind = np.float32 if tolerance >= _SINGLE else np.float64
+    system = ConductionSystem(part, kind)
+    residual = part.driving_flux(kind)
     limit = tolerance**2 * dot(residual, residual)
 
     def accept(at: Iterate) -> bool:
         if dot(at.residual, at.residual) > limit:
             return False
-        flow = part.section_fluxes(at.x)
-        # x . residual is the power put in less the power dissipated.
-        power = abs(dot(at.x, at.residual))
-        return imbalance(flow) <= tolerance and power <= tolerance * abs(float(flow.mean()))
+        flow = system.flow
+        lost = abs(system.power_lost(at))
+        return imbalance(flow) <= tolerance and lost <= tolerance * abs(float(flow.mean()))
 
     last, converged = conjugate_gradients(
-        ConductionSystem(part),
-        np.zeros(part.length),
-        residual,
-        accept=accept,
-        most=_MOST_STEPS,
-        flexible=True,
+        system, np.zeros(0), residual, accept=accept, most=_MOST_STEPS, flexible=True
     )
-    flow = part.section_fluxes(last.x)
+    flow = system.flow
     depth, height, width = labels.shape
     value = float(flow.mean()) * depth / (height * width) / float(pull[0])
     return Effective(value, converged, imbalance(flow), last.steps, fraction)
 
 
 def _find_segments(
-    labels: np.ndarray, active: np.ndarray, sigma: np.ndarray, pull: np.ndarray
-) -> ConductionSegments:
-    """Return the segments of the active voxels, with the harmonic mean at every face."""
+    labels: np.ndarray, sigma: np.ndarray, pull: np.ndarray
+) -> tuple[ConductionSegments | None, float]:
+    """Return the segments of what percolates, with the harmonic mean at every face, None where
+    nothing does; and the share of voxels that conduct.
+    """
+    inside = (sigma > 0.0)[labels]
+    fraction = int(np.count_nonzero(inside)) / inside.size
+    active = percolating_voxels(inside)
+    if active is None:
+        return None, fraction
+    del inside
     some, kinds = np.unique(np.append(0.0, sigma), return_inverse=True)
     sums = some[:, None] + some
     mean = np.divide(2.0 * some[:, None] * some, sums, out=np.zeros_like(sums), where=sums > 0.0)
     face, end = mean[:, :, None] * pull, 2.0 * some * pull[0]
-    return ConductionSegments.of(labels, active, kinds[1:].astype(np.int64), face, end)
+    given = labels, active, kinds[1:].astype(np.int64)
+    return ConductionSegments.of(*given, face, end), fraction

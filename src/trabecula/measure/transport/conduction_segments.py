@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
+from trabecula.engine.parallel import for_slabs
 from trabecula.engine.rows import copy_row
 from trabecula.measure.transport.segments import continues, number_voxels, slot_at
 
@@ -53,9 +54,11 @@ class ConductionSegments(NamedTuple):
         set_driving_flux(*self.matrix, self.place, out)
         return out
 
-    def section_fluxes(self, x: np.ndarray) -> np.ndarray:
-        """Return the flux through every section across the first axis."""
-        return np.asarray(sum_sections(*self.matrix, self.place, x))
+    @property
+    def driven(self) -> float:
+        """Return the sum of the driving flux."""
+        near = slice(0, int(np.searchsorted(self.place[:, 0], 1)))
+        return float(self.coupling[self.code[near], _END] @ self.table[near, 1])
 
     @classmethod
     def of(
@@ -72,11 +75,25 @@ class ConductionSegments(NamedTuple):
         and b along axis d, end[a] to an end face; those of kind 0 are 0.
         """
         slot, slots, nodes = number_voxels(active)
-        given = (labels, kinds, slot, slots)
-        found = find_segments(*given, 0, 1)[3]
+        given, counts = (labels, kinds, slot, slots), np.zeros(len(labels), np.int64)
+
+        def count(start: int, stop: int) -> None:
+            none = np.zeros((0, COLUMNS), np.int32), np.zeros((0, 3), np.int16)
+            find_segments(*given, *none, np.zeros(0, np.int64), counts, start, stop)
+
+        for_slabs(count, len(labels))
+        ends = [0, *np.cumsum(counts).tolist()]
+        table, place = np.zeros((ends[-1], COLUMNS), np.int32), np.zeros((ends[-1], 3), np.int16)
+        key = np.zeros(ends[-1], np.int64)
+
+        def fill(start: int, stop: int) -> None:
+            inside = slice(ends[start], ends[stop])
+            find_segments(*given, table[inside], place[inside], key[inside], counts, start, stop)
+
+        for_slabs(fill, len(labels))
         most = int(kinds.max())
-        codes = min(found, 4 * most * (most + 1) ** 6)
-        table, code, place, _, keys = find_segments(*given, found, 1 << (2 * codes).bit_length())
+        codes = min(len(key), 4 * most * (most + 1) ** 6)
+        code, keys = number_keys(key, 1 << (2 * codes).bit_length())
         zeros = labels.shape[2] + 2  # no segment is longer
         return cls(table, code, couplings_of(keys, face, end), place, slots, nodes, slots + zeros)
 
@@ -87,73 +104,72 @@ def _kind_at(labels, kinds, slot, z, y, x):
     return kinds[labels[z, y, x]] if slot_at(slot, z, y, x) > 0 else np.int64(0)
 
 
-@inline
-def _code_of(key, keys, codes, count):
-    """Return the code of a key in the hash table, a new one where it is not there, and their
-    count.
-    """
-    at = (key ^ (key >> 29) ^ (key >> 13)) * 0x9E3779B1 & (len(keys) - 1)
-    while keys[at] != key:
-        if keys[at] < 0:
-            keys[at], codes[at] = key, count
-            count += 1
-            break
-        at = (at + 1) & (len(keys) - 1)
-    return codes[at], count
-
-
 @kernel
-def find_segments(labels, kinds, slot, zero, segments, table_size):
-    """Find the segments of the voxels that have a slot; with 0 `segments` only count them. kinds[a]
-    is 1 or more for labels that conduct.
+def find_segments(labels, kinds, slot, zero, table, place, key, counts, start, stop):
+    """Find the segments of the voxels of planes start..stop that have a slot; where there is no
+    room for them only count them, plane by plane. kinds[a] is 1 or more for labels that conduct.
 
-    Returns also the keys of the couplings by code: the kinds, 0 where nothing conducts, of the
-    voxels and of their neighbours at y - 1, y + 1, z - 1, z + 1, before and after the segment, 8
-    bits each, and two bits for the near and the far end face.
+    A segment's key has the kinds, 0 where nothing conducts, of its voxels and of their neighbours
+    at y - 1, y + 1, z - 1, z + 1, before and after it, 8 bits each, and two bits for the near and
+    the far end face.
     """
     depth, height, width = slot.shape
-    table = np.zeros((max(segments, 1), COLUMNS), np.int32)
-    code, place = np.zeros(len(table), np.int32), np.zeros((len(table), 3), np.int16)
-    keys, codes = np.full(table_size, -1, np.int64), np.zeros(table_size, np.int32)
     found, empty = np.zeros(COLUMNS, np.int32), np.zeros(COLUMNS, np.int32)
     empty[2:] = zero
-    fill = segments > 0
-    total = count = 0
-    for z in range(depth):
+    last = np.zeros((1, COLUMNS), np.int32)
+    total = 0
+    for z in range(start, stop):
         faces = np.int64(z == 0) + 2 * np.int64(z == depth - 1)
+        counts[z] = -total
         for y in range(height):
             beside = first = own = np.int64(0)
             for x in range(width + 1):
                 before, own = own, _kind_at(labels, kinds, slot, z, y, x)
-                key = own
-                at = total - 1 if fill else 0
+                around = own
                 if own:
                     found[0] = slot_at(slot, z, y, x)
                     for c in range(2, COLUMNS):
                         step = 2 * (c & 1) - 1
                         u, v = z + step * (c > 3), y + step * (c < 4)
                         found[c] = slot_at(slot, u, v, x)
-                        key = key << 8 | _kind_at(labels, kinds, slot, u, v, x)
+                        around = around << 8 | _kind_at(labels, kinds, slot, u, v, x)
                         if found[c] == 0:
                             found[c] = zero
-                    if before and key == beside and continues(table, at, found, empty):
-                        table[at, 1] += 1
+                    if before and around == beside and continues(last, 0, found, empty):
+                        last[0, 1] += 1
                         continue
-                if before and fill:
-                    whole = ((beside << 8 | first) << 8 | own) << 2 | faces
-                    code[at], count = _code_of(whole, keys, codes, count)
+                if before and len(table):
+                    copy_row(table[total - 1], last[0])
+                    key[total - 1] = ((beside << 8 | first) << 8 | own) << 2 | faces
                 if own:
-                    at = total if fill else 0
+                    beside, first = around, before
+                    copy_row(last[0], found)
+                    last[0, 1] = 1
+                    if len(table):
+                        place[total, 0], place[total, 1], place[total, 2] = z, y, x
                     total += 1
-                    beside, first = key, before
-                    copy_row(table[at], found)
-                    table[at, 1] = 1
-                    place[at, 0], place[at, 1], place[at, 2] = z, y, x
+        counts[z] += total
+
+
+@kernel
+def number_keys(key, table_size):
+    """Return the code of every key, and the key of every code, which are numbered as they come."""
+    keys, codes = np.full(table_size, -1, np.int64), np.zeros(table_size, np.int32)
+    code, count = np.empty(len(key), np.int32), 0
+    for s in range(len(key)):
+        own = key[s]
+        at = (own ^ (own >> 29) ^ (own >> 13)) * 0x9E3779B1 & (table_size - 1)
+        while keys[at] >= 0 and keys[at] != own:
+            at = (at + 1) & (table_size - 1)
+        if keys[at] < 0:
+            keys[at], codes[at] = own, count
+            count += 1
+        code[s] = codes[at]
     used = np.zeros(count, np.int64)
-    for k in range(len(keys)):
-        if keys[k] >= 0:
-            used[codes[k]] = keys[k]
-    return table, code, place, total, used
+    for n in range(table_size):
+        if keys[n] >= 0:
+            used[codes[n]] = keys[n]
+    return code, used
 
 
 def couplings_of(keys: np.ndarray, face: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -185,13 +201,18 @@ def _row(coupling, code, kind):
 
 
 @kernel
-def multiply(table, code, coupling, x, out):
-    """Set the matrix times x: the sum of couplings times differences, which keeps the digits that a
-    diagonal times x would lose in float32.
+def multiply(table, code, coupling, place, x, out, flux):
+    """Set the matrix times x of some segments: the sum of couplings times differences, which keeps
+    the digits that a diagonal times x would lose in float32.
+
+    Set also the flux through every section (Z + 1,) float64 that they end, where both end faces are
+    0: towards the far end face, through it and through the near one.
     """
     kind = out.dtype.type
+    far = len(flux) - 1
+    flux[0 if place[0, 0] == 0 else place[0, 0] + 1 : place[len(place) - 1, 0] + 2] = 0.0
     for s in range(len(table)):
-        first, length = table[s, 0], table[s, 1]
+        first, length, z = table[s, 0], table[s, 1], place[s, 0]
         (y0, y1, z0, z1), inside, before, after, _ = _row(coupling, code[s], kind)
         to_ends = kind(coupling[code[s], _TO_ENDS])
         a, b = x[table[s, 2] :], x[table[s, 3] :]
@@ -208,16 +229,29 @@ def multiply(table, code, coupling, x, out):
                 + (z0 * (v - c[k]) + z1 * (v - d[k]))
                 + to_ends * v
             )
+        passed = own = 0.0
+        for k in range(length):
+            own += i[k + 1]
+            passed += np.float64(i[k + 1]) - np.float64(d[k])
+        if z + 1 < far:
+            flux[z + 1] += coupling[code[s], 3] * passed
+        else:
+            flux[far] += coupling[code[s], _END] * own
+        if z == 0:
+            flux[0] -= coupling[code[s], _END] * own
 
 
 @kernel
-def sweep_forward(table, code, coupling, right, x):
-    """Sweep once by Gauss-Seidel from zero: only neighbours before a node have a value yet."""
+def sweep_forward(table, code, coupling, right, x, edge, zeros):
+    """Sweep some segments once by Gauss-Seidel from zero: only neighbours before a node have a
+    value yet. At z - 1 the segments before `edge` have none of the same part; from `zeros` on x
+    stays 0.
+    """
     one = np.float32(1.0)
     for s in range(len(table)):
         first, length = table[s, 0], table[s, 1]
         (y0, _, z0, _), inside, before, after, beside = _row(coupling, code[s], np.float32)
-        a, c = x[table[s, 2] :], x[table[s, 4] :]
+        a, c = x[table[s, 2] :], x[zeros if s < edge else table[s, 4] :]
         r, out = right[first : first + length], x[first : first + length]
         for k in range(length):
             out[k] = r[k] + y0 * a[k] + z0 * c[k]
@@ -235,30 +269,44 @@ def sweep_forward(table, code, coupling, right, x):
 
 
 @kernel
-def restrict(table, code, coupling, aggregate, x, coarse):
-    """Set the residual of a forward sweep, summed over aggregates: the later neighbours'."""
-    coarse[:] = 0.0
+def restrict(table, code, coupling, aggregate, x, coarse, edge):
+    """Add the residual of a forward sweep to aggregates: the later neighbours', and before `edge`
+    that of those at z - 1.
+    """
     for s in range(len(table)):
         first, length = table[s, 0], table[s, 1]
-        (_, y1, _, z1), inside, _, after, _ = _row(coupling, code[s], np.float32)
+        (_, y1, z0, z1), inside, _, after, _ = _row(coupling, code[s], np.float32)
         b, d, e = x[table[s, 3] :], x[table[s, 5] :], x[first + 1 :]
         at = aggregate[first : first + length]
         for k in range(length - 1):
             coarse[at[k]] += inside * e[k] + y1 * b[k] + z1 * d[k]
         k = length - 1
         coarse[at[k]] += after * e[k] + y1 * b[k] + z1 * d[k]
+        if s < edge:
+            c = x[table[s, 4] :]
+            for k in range(length):
+                coarse[at[k]] += z0 * c[k]
 
 
 @kernel
-def sweep_backward(table, code, coupling, right, x):
-    """Sweep once by Gauss-Seidel, the last node first."""
+def sweep_backward(table, code, coupling, right, x, edges, zeros, shifts):
+    """Sweep some segments once by Gauss-Seidel, the last node first.
+
+    The segments before edges[0] have neighbours of another part at z - 1, those from edges[1] on at
+    z + 1: their values stand `shifts` slots farther on.
+    """
     one = np.float32(1.0)
     rest = np.empty(table[:, 1].max(), np.float32)
     for s in range(len(table) - 1, -1, -1):
         first, length = table[s, 0], table[s, 1]
         (y0, y1, z0, z1), inside, before, after, beside = _row(coupling, code[s], np.float32)
+        low, high = np.int64(table[s, 4]), np.int64(table[s, 5])
+        if s < edges[0] and low < zeros:
+            low += shifts[0]
+        if s >= edges[1] and high < zeros:
+            high += shifts[1]
         a, b = x[table[s, 2] :], x[table[s, 3] :]
-        c, d = x[table[s, 4] :], x[table[s, 5] :]
+        c, d = x[low:], x[high:]
         i = x[first - 1 : first + length + 1]
         r = right[first : first + length]
         for k in range(length):
@@ -286,29 +334,6 @@ def set_driving_flux(table, code, coupling, place, out):
     for s in range(len(table)):
         if place[s, 0] == 0:
             out[table[s, 0] : table[s, 0] + table[s, 1]] = coupling[code[s], _END]
-
-
-@kernel
-def sum_sections(table, code, coupling, place, x):
-    """Return the flux through every section across the first axis, from 1 on the near end face to 0
-    on the far one.
-    """
-    depth = place[len(place) - 1, 0] + 1
-    flux = np.zeros(depth + 1)
-    for s in range(len(table)):
-        z, length, up = place[s, 0], table[s, 1], coupling[code[s], 3]
-        i = x[table[s, 0] : table[s, 0] + length]
-        d = x[table[s, 5] :]
-        total = near = 0.0
-        for k in range(length):
-            total += up * (i[k] - d[k])
-            near += i[k]
-        flux[z + 1] += total
-        if z == 0:
-            flux[0] += coupling[code[s], _END] * (length - near)
-        if z == depth - 1:
-            flux[depth] += coupling[code[s], _END] * near
-    return flux
 
 
 @kernel

@@ -10,11 +10,20 @@ from typing import Protocol
 import numpy as np
 
 from trabecula.measure.transport import segments
-from trabecula.measure.transport.aggregation import DIRECT, GraphLevel, build_levels, coarsen_parts
+from trabecula.measure.transport.aggregation import (
+    DIRECT,
+    GraphLevel,
+    RowsPart,
+    build_levels,
+    coarsen_parts,
+)
 from trabecula.measure.transport.graph import Graph
+from trabecula.numerics.vectors import for_chunks
 
 PART = 1 << 15
 """Slots, at least, of the nodes whose rows are held at once, or those of two planes."""
+
+_NEIGHBOURS = 6
 
 
 class Segments(Protocol):
@@ -50,23 +59,26 @@ class FinestLevel:
 
     def __init__(self, part: Segments, rows: Callable[[np.ndarray, int, int], Graph]) -> None:
         self.part = part
-        number, slots = segments.compact_numbers(part.table, part.length)
+        number, nodes = segments.compact_numbers(part.table, part.length)
         self.x = np.zeros(0, np.float32)
         """Where the next result goes: of the part's length, zeros between runs."""
         self.alone: tuple[GraphLevel, np.ndarray] | None = None
         self.aggregate = np.zeros(0, np.int32)
-        aggregate, levels = _build_levels(part, partial(rows, number), len(slots))
+        aggregate, levels = _build_levels(part, partial(rows, number), nodes)
         if aggregate is None:
-            self.alone, self.below = (levels[0], slots), []
+            self.alone, self.below = (levels[0], np.flatnonzero(number >= 0)), []
         else:
             self.below = levels
-            self.aggregate = np.zeros(part.slots, np.int32)
-            self.aggregate[slots] = aggregate
+            segments.take_by_slot(number, aggregate)
+            self.aggregate = number
             self.coarse = np.zeros(len(levels[0].inverse), np.float32)
 
     def prolong(self, correction: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Add the correction of its aggregate to every node."""
-        segments.prolong(self.part.table, self.aggregate, correction, x)
+        table = self.part.table
+        for_chunks(
+            lambda a, b: segments.prolong(table[a:b], self.aggregate, correction, x), len(table)
+        )
         return x
 
     def solve(self, right: np.ndarray) -> np.ndarray:
@@ -84,8 +96,11 @@ def _build_levels(
     one alone, where it has no coarser one.
     """
     if nodes > DIRECT:
-        parts = [partial(rows, a, b) for a, b in pairwise(_bounds(part))]
-        found = coarsen_parts(parts, nodes)
+        parts = []
+        for a, b in pairwise(_bounds(part)):
+            own = int(part.table[a:b, 1].sum())
+            parts.append(RowsPart(partial(rows, a, b), own, _NEIGHBOURS * own))
+        found = coarsen_parts(parts)
         if found is not None:
             return found[0], build_levels(found[1])
     levels = build_levels(rows(0, len(part.table)))

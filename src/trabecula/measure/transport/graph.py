@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trabecula.engine.compile import kernel
+from trabecula.numerics.vectors import for_chunks
 
 
 class Graph(NamedTuple):
@@ -43,16 +44,16 @@ class Graph(NamedTuple):
 
     def apply(self, x: np.ndarray) -> np.ndarray:
         """Return the matrix times x, in the precision of x."""
-        return multiply(*self.rows, x)
+        y = np.empty_like(x)
+        for_chunks(lambda a, b: multiply(*self.rows, x, y, a, b), len(x))
+        return y
 
 
 @kernel
-def multiply(start, other, weight, diagonal, x):
-    """Return the matrix of a graph times x, summed in the precision of x."""
-    y = np.empty_like(x)
-    for i in range(len(x)):
+def multiply(start, other, weight, diagonal, x, y, first, stop):
+    """Set the rows first..stop of the matrix of a graph times x, summed in the precision of x."""
+    for i in range(first, stop):
         total = x.dtype.type(diagonal[i]) * x[i]
         for k in range(start[i], start[i + 1]):
             total -= weight[k] * x[other[k]]
         y[i] = total
-    return y

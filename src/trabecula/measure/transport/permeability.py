@@ -124,7 +124,7 @@ def permeability(
 def _permeability(inside: np.ndarray, edges: np.ndarray, *, tolerance: float) -> Effective:
     """Solve for the permeability along the first axis."""
     fraction = int(np.count_nonzero(inside)) / inside.size
-    active = percolating_voxels(inside)
+    active = percolating_voxels(np.ascontiguousarray(inside))
     if active is None:
         return not_percolating(fraction)
     if active.all():  # mirrors alone hold no fluid

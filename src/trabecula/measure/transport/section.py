@@ -13,6 +13,7 @@ import numpy as np
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
+from trabecula.engine.parallel import thread_count
 from trabecula.measure.centre_crop import box_sides, centre, centre_box, check_memory
 from trabecula.measure.labelling import label_components
 from trabecula.measure.percolation import spanning_voxels
@@ -27,7 +28,7 @@ _LONGEST = 2**15 - 1  # places are kept as int16
 _MOST = 2**29  # voxels: three velocities each are numbered by int32
 
 _GRID_BYTES = 12  # per voxel, of the phase or not: labels, components, numbers
-_ROW_BYTES = 125  # per voxel of the phase whose row of the matrix is held while levels are built
+_ROW_BYTES = 75  # per voxel of the phase whose row of the matrix is held while levels are built
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,8 @@ class Solver:
     """The solve of a coefficient, and the memory that it takes."""
 
     solve: Callable[[np.ndarray, np.ndarray], Effective]
-    """From an array (Z, Y, X), transport along its first axis, and its voxel edges."""
+    """From an array (Z, Y, X), which may be a view, transport along its first axis, and its voxel
+    edges."""
     carries: np.ndarray
     """bool: whether each value of the array carries anything."""
     voxel_bytes: int
@@ -65,18 +67,18 @@ def effective(
             solver.carries[cut.view(np.uint8)], solver.voxel_bytes, split=own if halving else 0
         )
     )
-    result = solver.solve(np.ascontiguousarray(cut), np.array(edges))
+    result = solver.solve(cut, np.array(edges))
     if not halving or not 0.0 < result.value < math.inf:
         return result
     small = centre_box(cut, HALVED)
-    whole = solver.solve(np.ascontiguousarray(small), np.array(edges))
+    whole = solver.solve(small, np.array(edges))
     if not 0.0 < whole.value < math.inf:
         return result
     for d in range(3):
         if own == 3 or d != 1:
             small = np.repeat(small, 2, axis=d)
             edges[d] /= 2
-    split = solver.solve(np.ascontiguousarray(small), np.array(edges))
+    split = solver.solve(small, np.array(edges))
     return replace(result, halving=split.value / whole.value - 1.0)
 
 
@@ -89,7 +91,8 @@ def forecast_bytes(carrying: np.ndarray, voxel_bytes: int, *, split: int = 0) ->
 
     def one(inside: np.ndarray) -> int:
         count = int(np.count_nonzero(inside))
-        rows = min(count, max(PART, 2 * count // len(inside)))  # a part, or two planes
+        rows = max(PART, 2 * count // len(inside))  # a part, or two planes
+        rows = min(count, rows * thread_count())
         return count * voxel_bytes + inside.size * _GRID_BYTES + rows * _ROW_BYTES
 
     if not split:

@@ -286,21 +286,23 @@ def spread(table, values, length):
 
 @kernel
 def compact_numbers(table, length):
-    """Return the numbers of nodes without the slots between runs, by slot, -1 elsewhere; and the
-    slots.
+    """Return the numbers of nodes without the slots between runs, by slot, -1 elsewhere; and how
+    many there are.
     """
     number = np.full(length, -1, np.int32)
-    nodes = 0
-    for s in range(len(table)):
-        nodes += table[s, 1]
-    slots = np.empty(nodes, np.int32)
-    at = 0
+    nodes = np.int32(0)
     for s in range(len(table)):
         for i in range(table[s, 0], table[s, 0] + table[s, 1]):
-            number[i] = at
-            slots[at] = i
-            at += 1
-    return number, slots
+            number[i] = nodes
+            nodes += 1
+    return number, nodes
+
+
+@kernel
+def take_by_slot(number, values):
+    """Replace the number of every node by its value, those of no node by 0."""
+    for i in range(len(number)):
+        number[i] = values[number[i]] if number[i] >= 0 else 0
 
 
 @kernel
