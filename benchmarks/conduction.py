@@ -21,8 +21,10 @@ PACKED = math.sqrt(2) / 4  # radius over the cell's edge, where spheres touch
 
 
 def conduction() -> None:
-    """Tortuosity, processor seconds, seconds and peak memory of a process of one thread."""
-    row = table("volume", "tau", "published", "iterations", "CPU s", "s", "GB")
+    """Tortuosity; processor seconds, seconds and peak memory of a process of one thread, and of one
+    with two.
+    """
+    row = table("volume", "tau", "published", "steps", "CPU s", "s", "GB", "s of two", "GB")
     for axis, known in enumerate(PUBLISHED if (SCANS / VOLUME).exists() else ()):
         row(f"500^3, along {'zyx'[axis]}", *_cells(VOLUME, axis, f"{known:.4f}"))
     for side in SPHERES:
@@ -30,11 +32,15 @@ def conduction() -> None:
 
 
 def _cells(volume: str | int, axis: int, known: str) -> list[str]:
-    ran = spend([sys.executable, __file__, str(volume), str(axis)])
-    found = ran.found
-    seconds = f"{ran.busy:.1f}", f"{ran.wall:.1f}"
+    one, two = (
+        spend([sys.executable, __file__, str(volume), str(axis), str(count)]) for count in (1, 2)
+    )
+    found = one.found
+    if two.found != found:
+        raise RuntimeError(f"two threads found {two.found}, one {found}")
     tau = f"{found['tau']:.4f}" if found["converged"] else "not converged"
-    return [tau, known, str(found["iterations"]), *seconds, f"{ran.peak / 1e9:.2f}"]
+    spent = f"{one.busy:.1f}", f"{one.wall:.1f}", f"{one.peak / 1e9:.2f}"
+    return [tau, known, str(found["steps"]), *spent, f"{two.wall:.1f}", f"{two.peak / 1e9:.2f}"]
 
 
 def spheres(side: int) -> np.ndarray:
@@ -49,18 +55,18 @@ def spheres(side: int) -> np.ndarray:
     return void
 
 
-def _solve(volume: str, axis: int) -> None:
+def _solve(volume: str, axis: int, count: int) -> None:
     """Print the tortuosity of a phase that is 1."""
     inside = (
         spheres(int(volume))
         if volume.isdigit()
         else (tifffile.imread(SCANS / volume) > 0).astype(np.uint8)
     )
-    with threads(1):
+    with threads(count):
         found = tortuosity(inside, axis=axis, phase=1)
-    told = {"tau": found.value, "converged": found.converged, "iterations": found.iterations}
+    told = {"tau": found.value, "converged": found.converged, "steps": found.iterations}
     print(json.dumps(told))
 
 
 if __name__ == "__main__":
-    _solve(sys.argv[1], int(sys.argv[2]))
+    _solve(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))

@@ -17,7 +17,13 @@ from trabecula.measure.phases import members
 from trabecula.measure.transport.conduction_segments import ConductionSegments
 from trabecula.measure.transport.conduction_system import ConductionSystem
 from trabecula.measure.transport.result import Effective, imbalance, not_percolating
-from trabecula.measure.transport.section import Solver, as_tolerance, effective, percolating_voxels
+from trabecula.measure.transport.section import (
+    Solver,
+    as_tolerance,
+    carrying_voxels,
+    effective,
+    percolating_voxels,
+)
 from trabecula.numerics.krylov import Iterate, conjugate_gradients
 from trabecula.numerics.vectors import dot
 
@@ -272,7 +278,7 @@ def _find_segments(
     """Return the segments of what percolates, with the harmonic mean at every face, None where
     nothing does; and the share of voxels that conduct.
     """
-    inside = (sigma > 0.0)[labels]
+    inside = carrying_voxels(labels, sigma > 0.0)
     fraction = int(np.count_nonzero(inside)) / inside.size
     active = percolating_voxels(inside)
     if active is None:

@@ -13,7 +13,7 @@ import numpy as np
 from trabecula.core.checks import as_number
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
-from trabecula.engine.parallel import thread_count
+from trabecula.engine.parallel import for_slabs, thread_count
 from trabecula.measure.centre_crop import box_sides, centre, centre_box, check_memory
 from trabecula.measure.labelling import label_components
 from trabecula.measure.percolation import spanning_voxels
@@ -62,11 +62,9 @@ def effective(
     if own == 2:  # one slice between two mirrors
         cut, edges = cut[:, None, :], [edges[0], min(edges), edges[1]]
     _check_size(cut.shape)
-    check_memory(
-        forecast_bytes(
-            solver.carries[cut.view(np.uint8)], solver.voxel_bytes, split=own if halving else 0
-        )
-    )
+    carrying = carrying_voxels(cut.view(np.uint8), solver.carries)
+    check_memory(forecast_bytes(carrying, solver.voxel_bytes, split=own if halving else 0))
+    del carrying
     result = solver.solve(cut, np.array(edges))
     if not halving or not 0.0 < result.value < math.inf:
         return result
@@ -101,6 +99,13 @@ def forecast_bytes(carrying: np.ndarray, voxel_bytes: int, *, split: int = 0) ->
         one(carrying),
         2**split * one(centre_box(carrying, HALVED)),
     )
+
+
+def carrying_voxels(labels: np.ndarray, carries: np.ndarray) -> np.ndarray:
+    """Return which voxels have a label, or value, that carries anything, (256,) bool or fewer."""
+    found = np.empty(labels.shape, bool)
+    for_slabs(lambda a, b: np.take(carries, labels[a:b], out=found[a:b]), len(labels))
+    return found
 
 
 def percolating_voxels(inside: np.ndarray) -> np.ndarray | None:
