@@ -346,6 +346,16 @@ def _texture_default() -> tb.Image:
     return tb.method("texture").fit(bone(24)).generate(SHAPE, seed=6)
 
 
+@case("kopf-coarse")
+def _kopf_coarse() -> tb.Image:
+    truth = tb.Image(bone(64).values, "labels", phases=("void", "solid"))
+    share = truth.values.reshape(16, 4, 16, 4, 16, 4).mean(axis=(1, 3, 5), dtype=np.float64)
+    coarse = tb.Image((share > 0.5).astype(np.uint8), "labels", phases=truth.phases)
+    shown = tb.Image(picture(tb.sample("bone")).values, "labels", phases=truth.phases)
+    learned = tb.method("kopf", **QUICK["kopf"]).fit(shown)
+    return learned.generate(64, coarse=coarse, seed=2)
+
+
 @case("kopf-process")
 def _kopf_process() -> tb.Image:
     learned = tb.method("kopf", process="gaussian").fit(picture(bone(48)))

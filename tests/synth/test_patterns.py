@@ -10,6 +10,7 @@ import trabecula as tb
 from trabecula.core.progress import listen, run_of, whole_run
 from trabecula.engine.parallel import threads
 from trabecula.measure.labelling import label_components
+from trabecula.synth.shared.block_bounds import BlockBounds
 from trabecula.synth.shared.patterns.balls import FRACTIONS, RADII, STEP
 from trabecula.synth.shared.patterns.balls import UNIT as PARTS
 from trabecula.synth.shared.patterns.counts import BLOCK, Bins, Patterns
@@ -17,6 +18,7 @@ from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.excess import CELL, SHARINGS, excess_of
 from trabecula.synth.shared.patterns.flips import FlipRegion, flip_voxels
 from trabecula.synth.shared.patterns.kernels import CHORDS, NEIGHBOURS, REACH, STRIDES
+from trabecula.synth.shared.patterns.planes import with_euler
 
 UNIT = 1000.0
 SMALL = 100  # voxels of a body that stays
@@ -498,6 +500,44 @@ def test_where_the_target_varies_the_whole_has_its_fraction(depth):
     made, _ = flip_voxels(phases, votes, patterns, place, seed=1, rounds=2, unit=UNIT)
     assert np.count_nonzero(made != phases) > 100
     assert made.mean() == pytest.approx(phases.mean(), abs=2e-4)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_blocks_with_bounds_keep_them(count):
+    sides = (5, 4, 7)
+    phases, votes = blobs(0, (40, 44, 49))
+    rough = grainy(phases, 4)
+    there = BlockBounds(*(np.zeros((8, 11, 7), np.int32) for _ in range(2)), sides)
+    second = there.excess(rough)[..., 1]
+    np.testing.assert_array_equal(
+        second, rough.reshape(8, 5, 11, 4, 7, 7).sum(axis=(1, 3, 5), dtype=np.int64)
+    )
+    bounds = BlockBounds(np.maximum(second - 1, 0), np.minimum(second + 1, 140), sides)
+    bounds.least[3, 5, 2], bounds.most[6, 2, 4] = second[3, 5, 2] + 9, second[6, 2, 4] - 9
+    patterns = learn(phases, balls=False)
+    given = {"seed": 3, "rounds": 3, "unit": UNIT}
+    with tb.threads(count):
+        made, report = flip_voxels(rough, votes, patterns, FlipRegion(bounds=bounds), **given)
+    assert report["off_after"] < 0.8 * report["off_before"]
+    found = there.excess(made)[..., 1]
+    kept = (found >= bounds.least) & (found <= bounds.most)
+    kept[3, 5, 2], kept[6, 2, 4] = found[3, 5, 2] >= second[3, 5, 2], True
+    assert kept.all() and found[6, 2, 4] <= second[6, 2, 4]
+    assert (found != second).mean() > 0.3
+    assert abs(int(found.sum()) - int(second.sum())) < 20
+
+
+def test_euler_numbers_are_those_asked_for():
+    given = learn(grainy(blobs(0, (40, 40, 40))[0], 1), balls=False)
+    wanted = given.euler * [0.4, 0.7]
+    found = with_euler(given, wanted)
+    np.testing.assert_allclose(found.euler, wanted, rtol=1e-6)
+    bins = given.bins
+    cubes = slice(bins.cubes, bins.cubes + bins.combinations)
+    assert found.own[cubes].sum() == pytest.approx(given.own[cubes].sum())
+    others = np.ones(bins.total, bool)
+    others[cubes] = False
+    np.testing.assert_array_equal(found.own[others], given.own[others])
 
 
 def test_where_the_target_varies_a_block_that_is_to_gain_does():

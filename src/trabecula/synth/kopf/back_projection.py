@@ -12,30 +12,16 @@ blocks that are still wrong, those nearest to the interface first.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.parallel import for_slabs
+from trabecula.synth.shared.block_bounds import BlockBounds
 from trabecula.synth.shared.content.fields import FULL, UNIT
 
 LIMIT = FULL * UNIT
 """Largest vote."""
-
-
-@dataclass(frozen=True)
-class BlockBounds:
-    """Fewest and most positive voxels in each block of `sides` voxels, (z, y, x) int32."""
-
-    least: np.ndarray
-    most: np.ndarray
-    sides: tuple[int, int, int]
-
-    @property
-    def size(self) -> int:
-        """Return the voxels of a block."""
-        return int(np.prod(self.sides))
 
 
 def back_project(

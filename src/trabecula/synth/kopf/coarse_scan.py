@@ -14,8 +14,9 @@ from trabecula.core.image import Image
 from trabecula.core.request import Request
 from trabecula.engine import memmap
 from trabecula.measure.distance import signed_distance
-from trabecula.synth.kopf.back_projection import BlockBounds, add_shifts
+from trabecula.synth.kopf.back_projection import add_shifts
 from trabecula.synth.kopf.change_of_support import Material, refine, variance_share
+from trabecula.synth.shared.block_bounds import BlockBounds
 
 _FAR, _MANY = 0.25, 3.0  # a difference of fractions: absolute, and in deviations of slices
 _WITHIN, _PURE = 2.0, 3.0  # errors: of a fraction's bounds; of one that may be 0 or 1
@@ -79,8 +80,10 @@ class CoarseScan:
         """Return whether the blocks of the scan are whole voxels of a level."""
         return not any(side % 2**level for side in self.sides)
 
-    def bounds(self, level: int) -> BlockBounds:
-        """Return how many voxels of each block of a level may be of the second phase."""
+    def bounds(self, level: int, within: float = _WITHIN) -> BlockBounds:
+        """Return how many voxels of each block of a level may be of the second phase: `within` so
+        many errors of its fraction.
+        """
         z, y, x = (side // 2**level for side in self.sides)
         blocks = (z, y, x)
         size = int(np.prod(blocks))
@@ -91,7 +94,7 @@ class CoarseScan:
             upper = np.where(most, size, (size - 1) // 2)
         else:
             # what may be one phase alone with noise is let be: else noise becomes crumbs
-            off, pure = _WITHIN * self.error, _PURE * self.error
+            off, pure = within * self.error, _PURE * self.error
             least = np.where(self.fractions < pure, 0, np.floor((self.fractions - off) * size))
             upper = np.where(
                 1 - self.fractions < pure, size, np.ceil((self.fractions + off) * size)

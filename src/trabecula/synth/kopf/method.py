@@ -14,13 +14,14 @@ import numpy as np
 
 from trabecula.core.errors import RequestError
 from trabecula.core.image import Image
-from trabecula.core.progress import notify
+from trabecula.core.progress import notify, part_of
 from trabecula.core.request import Request
 from trabecula.engine.compile import kernel
 from trabecula.engine.memory import Stage
 from trabecula.engine.parallel import sum_slabs
 from trabecula.exemplar.views import View
 from trabecula.synth.kopf import CAPABILITIES
+from trabecula.synth.kopf.coarse_flips import match_picture
 from trabecula.synth.kopf.coarse_scan import CoarseScan, check_scan
 from trabecula.synth.kopf.config import KopfConfig
 from trabecula.synth.kopf.fusion import FusionRounds
@@ -32,6 +33,8 @@ from trabecula.synth.shared.content.fields import phases_present
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.content.kinds import Labels
 from trabecula.synth.shared.matching.planes import RegionViews
+from trabecula.synth.shared.patterns.flips import pattern_stages
+from trabecula.synth.shared.patterns.labels import shares_of
 from trabecula.synth.shared.pyramid import fit_to
 from trabecula.synth.shared.slabs import make_by_slabs
 from trabecula.synth.shared.solid.method import Solid
@@ -94,16 +97,41 @@ class KopfModel(SolidModel):
         if line:
             notify(line)
         scan = CoarseScan.of(request, pictures, present)
-        rounds = FusionRounds(self, request, scan)
-        rounds.run()
-        rounds.work.enter("deliver")
-        votes = fit_to(rounds.work.take("votes"), request.shape)
-        values, report = sharpen(votes[0], scan.bounds(0), scan.material)
+        values, report = self._fuse(request, scan)
         labels = np.array(present, np.uint8)
         made = make_by_slabs(
             lambda a, b: labels[values[a:b].view(np.uint8)], values.shape, np.uint8
         )
-        return made, {"coarse": report}
+        return made, report
+
+    def _fuse(self, request: Request, scan: CoarseScan) -> tuple[np.ndarray, dict[str, Any]]:
+        """Return the second phase (Z, Y, X) bool that a coarse scan lays out, and a report."""
+        shown = self.flips.shown_at(scan.material.fraction)
+        if shown is None and self.flips.rounds:
+            notify(
+                "the picture does not tell of material with the scan's fraction "
+                f"({scan.material.fraction:.3f}): interfaces stay as they are sharpened"
+            )
+        shares = shares_of(shown)
+        with part_of(shares, 0):
+            rounds = FusionRounds(self, request, scan)
+            rounds.run()
+            rounds.work.enter("deliver")
+            votes = fit_to(rounds.work.take("votes"), request.shape)[0]
+            values, told = sharpen(votes, scan.bounds(0), scan.material)
+        report: dict[str, Any] = {"coarse": told}
+        if shown is not None:
+            with part_of(shares, 1):
+                values, report["patterns"] = match_picture(
+                    values,
+                    votes,
+                    scan,
+                    shown,
+                    seed=request.seed,
+                    rounds=self.flips.rounds,
+                    clip=self.config.clip,
+                )
+        return values, report
 
     def _check_request(self, request: Request) -> None:
         super()._check_request(request)
@@ -199,7 +227,10 @@ class KopfModel(SolidModel):
             nbytes = self.output_bytes(request)
             return relative.stages(request, nbytes=nbytes, mapped=mapped)
         found = super()._stages(request, mapped=mapped)
-        return found if request.coarse is None else (*found, *sharpening_stages(request.shape))
+        if request.coarse is None:
+            return found
+        flips = pattern_stages(request.shape, 1, free=False, sides=request.blocks)
+        return (*found, *sharpening_stages(request.shape), *flips)
 
     def _fixed(self) -> dict[str, int]:
         held = 0 if self._learnt is None else self._learnt[2].nbytes

@@ -16,8 +16,9 @@ import numpy as np
 from trabecula.engine.memory import Array, Stage
 from trabecula.engine.parallel import thread_count
 from trabecula.measure.smooth import gaussian, reach_of
-from trabecula.synth.kopf.back_projection import LIMIT, BlockBounds, back_project, settle
+from trabecula.synth.kopf.back_projection import LIMIT, back_project, settle
 from trabecula.synth.kopf.change_of_support import Material
+from trabecula.synth.shared.block_bounds import BlockBounds
 from trabecula.synth.shared.slabs import (
     count_true,
     for_plane_groups,
@@ -58,8 +59,7 @@ def sharpen(
             break
         low, high = (low, amount) if enough else (amount, high)
         amount = (low + high) / 2
-    values = make_by_slabs(lambda a, b: moved[a:b] > 0, moved.shape, bool)
-    changed = settle(values, moved, bounds)
+    values, changed = _settled(moved, bounds)
     report = {
         "sharpening": amount,
         "settled": changed,
@@ -70,6 +70,20 @@ def sharpen(
         },
     }
     return values, report
+
+
+def unsharpened(votes: np.ndarray, bounds: BlockBounds, material: Material) -> np.ndarray:
+    """Return the second phase (Z, Y, X) bool of votes as `sharpen` would leave it without an
+    unsharp mask.
+    """
+    moved = _clean(_move(votes, _detail(votes), 0.0, bounds, material), bounds)
+    return _settled(moved, bounds)[0]
+
+
+def _settled(moved: np.ndarray, bounds: BlockBounds) -> tuple[np.ndarray, int]:
+    """Return where votes are positive, with blocks settled, and how many voxels changed for it."""
+    values = make_by_slabs(lambda a, b: moved[a:b] > 0, moved.shape, bool)
+    return values, settle(values, moved, bounds)
 
 
 def sharpening_stages(shape: Sequence[int]) -> tuple[Stage, ...]:

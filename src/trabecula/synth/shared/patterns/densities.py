@@ -66,6 +66,12 @@ class PatternDensities:
         slopes /= np.maximum(rooms[bins.rooms], 1e-9)
         return cls(bins, own, slopes, mean, float(-far.min()), float(far.max()))
 
+    @property
+    def euler(self) -> np.ndarray:
+        """Return the Euler numbers a voxel, as `Bins.euler` numbers them."""
+        bins = self.bins
+        return bins.euler @ self.own[bins.cubes : bins.cubes + bins.combinations]
+
     def with_chords(self, along: Sequence[np.ndarray | None]) -> PatternDensities:
         """Return them with other chords along some axes, (bins of an axis,) each."""
         own = self.own.copy()

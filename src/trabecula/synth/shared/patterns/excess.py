@@ -26,32 +26,49 @@ class FractionCells(NamedTuple):
 
     Attributes
     ----------
-    width : int
-        Voxels a side; a block begins with a whole one.
+    sides : three ints
+        Voxels along each axis; a block begins with a whole one.
     gained : (cells z, y, x, phases) int64
         How many voxels a cell has too many of a phase.
     price : float
-        Of one voxel, by the square.
-    whole : float
-        The same of what the block as a whole has too many: small cells gain less than others lose.
+        Of one voxel, by the square. 0: below 0 of them cost nothing, and there are never more.
+    whole : (phases,) int64
+        How many the block has too many of a phase.
+    whole_price : float
+        Of one of them, by the square: small cells gain less than others lose.
     """
 
-    width: int
+    sides: tuple[int, int, int]
     gained: np.ndarray
     price: float
-    whole: float
+    whole: np.ndarray
+    whole_price: float
 
 
 def kept_cells(shape: Sequence[int], phases: int, width: int) -> FractionCells:
     """Return cells of a block that keep their fractions."""
-    sides = [-(-side // width) for side in shape]
-    return FractionCells(width, np.zeros([*sides, phases], np.int64), _KEPT, 0.0)
+    cells = [-(-side // width) for side in shape]
+    gained = np.zeros([*cells, phases], np.int64)
+    return FractionCells((width,) * 3, gained, _KEPT, np.zeros(phases, np.int64), 0.0)
 
 
 def cells_of(excess: np.ndarray, box: Box, width: int = CELL) -> FractionCells:
     """Return the cells of a block of a volume whose excess is `excess_of`."""
     inside = tuple(slice(first // width, -(-last // width)) for first, last in box)
-    return FractionCells(width, excess[inside].copy(), _MET, _KEPT)
+    gained = excess[inside].copy()
+    return FractionCells((width,) * 3, gained, _MET, gained.sum(axis=(0, 1, 2)), _KEPT)
+
+
+def bounded_cells(excess: np.ndarray, box: Box, sides: tuple[int, int, int]) -> FractionCells:
+    """Return the cells of a block that keep what they have at most; the block keeps its
+    fraction.
+    """
+    inside = tuple(
+        slice(first // side, -(-last // side))
+        for (first, last), side in zip(box, sides, strict=True)
+    )
+    gained = excess[inside].copy()
+    return FractionCells(sides, gained, 0.0, np.zeros(gained.shape[3], np.int64), _KEPT)
 
 
 def excess_of(

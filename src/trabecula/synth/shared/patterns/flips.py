@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from threading import Lock
 from typing import Any
 
@@ -31,10 +32,16 @@ from trabecula.engine import memmap
 from trabecula.engine.chunking import Box, boxes_of, slices_of
 from trabecula.engine.memory import Array, Stage
 from trabecula.engine.parallel import thread_count
+from trabecula.synth.shared.block_bounds import BlockBounds
 from trabecula.synth.shared.local_offset import NARROWEST
 from trabecula.synth.shared.patterns.counts import BLOCK, Patterns, cut_out, for_blocks
 from trabecula.synth.shared.patterns.densities import PatternDensities
-from trabecula.synth.shared.patterns.excess import cells_of, excess_of, kept_cells
+from trabecula.synth.shared.patterns.excess import (
+    bounded_cells,
+    cells_of,
+    excess_of,
+    kept_cells,
+)
 from trabecula.synth.shared.patterns.kernels import MARGIN, flip_block
 from trabecula.synth.shared.patterns.misfit import EFFORT, Misfit, VotePrice, steps_around
 from trabecula.synth.shared.slabs import tally_by_slabs
@@ -65,6 +72,8 @@ class FlipRegion:
         Of the second of two phases, as a target has them that varies.
     window : int
         Voxels a side of the windows that are to have these fractions.
+    bounds : BlockBounds, optional
+        That blocks keep which keep them; in others fractions do not move away from them.
     """
 
     wraps: Sequence[bool] = (False, False, False)
@@ -73,6 +82,7 @@ class FlipRegion:
     graded: bool = False
     fractions: np.ndarray | None = None
     window: int = NARROWEST
+    bounds: BlockBounds | None = None
 
     @property
     def fixed(self) -> np.ndarray | None:
@@ -96,8 +106,8 @@ def flip_voxels(
     of all patterns that were off before and are off after, and the share of voxels that are left
     alone, since the exemplar has no place of their fraction.
 
-    Every phase keeps its number of voxels in every block. Where the target varies cells get as many
-    as bring windows to their fractions.
+    Every phase keeps its number of voxels in every block, or nearly that where smaller blocks have
+    bounds. Where the target varies cells get as many as bring windows to their fractions.
 
     Parameters
     ----------
@@ -115,7 +125,7 @@ def flip_voxels(
     unit : float
         Of the votes in a voxel.
     """
-    blocks = boxes_of(phases.shape, BLOCK)
+    blocks = _blocks_of(phases.shape, place)
     bands, of_blocks, left = _bands(phases, patterns, place, blocks)
     level = _level(votes[0], phases, place.free) if len(votes) == 1 else 0.0
     before, changed = _share_off(bands), 0
@@ -125,6 +135,17 @@ def flip_voxels(
         changed += count
     report = {"changed": changed, "off_before": before, "off_after": _share_off(bands)}
     return phases, {**report, "left": left} if left else report
+
+
+def _blocks_of(shape: Sequence[int], place: FlipRegion) -> list[Box]:
+    """Return the blocks that are worked on at once; those that have bounds are not cut."""
+    if place.bounds is None:
+        return boxes_of(shape, BLOCK)
+    cuts = []
+    for end, side in zip(shape, place.bounds.sides, strict=True):
+        step = side * max(1, BLOCK // side)
+        cuts.append([(first, min(first + step, end)) for first in range(0, end, step)])
+    return list(product(*cuts))
 
 
 def _bands(
@@ -196,7 +217,9 @@ def _round(
     free, valid = place.free, place.valid
     votes, level, effort, stage = given
     excess = None
-    if place.fractions is not None:
+    if place.bounds is not None:
+        excess = place.bounds.excess(phases)
+    elif place.fractions is not None:
         excess = excess_of(phases, place.fractions, free, window=place.window, wraps=place.wraps)
 
     def work(n: int) -> None:
@@ -211,6 +234,8 @@ def _round(
         core = tuple(slice(MARGIN, side - MARGIN) for side in local.shape)
         if excess is None:
             cells = kept_cells(local[core].shape, band.bins.phases, BLOCK)
+        elif place.bounds is not None:
+            cells = bounded_cells(excess, box, place.bounds.sides)
         else:
             cells = cells_of(excess, box)
         counts[n] = flip_block(
@@ -253,9 +278,12 @@ def _level(votes: np.ndarray, phases: np.ndarray, free: np.ndarray | None) -> fl
     return float(_VOTES - 1 - np.searchsorted(brightest, upper))
 
 
-def pattern_stages(shape: Sequence[int], channels: int, *, free: bool) -> tuple[Stage, ...]:
-    """Declare the arrays of the flips."""
-    local = int(np.prod([min(BLOCK, side) + 2 * MARGIN for side in shape]))
+def pattern_stages(
+    shape: Sequence[int], channels: int, *, free: bool, sides: Sequence[int] = (1, 1, 1)
+) -> tuple[Stage, ...]:
+    """Declare the arrays of the flips; blocks of `sides` voxels are not cut."""
+    longest = [max(BLOCK, side) for side in sides]
+    local = int(np.prod([min(*both) + 2 * MARGIN for both in zip(longest, shape, strict=True)]))
     arrays = {
         "votes": Array((channels, *shape), np.int16),
         "phases": Array(shape, np.uint8),

@@ -10,7 +10,6 @@ import numpy as np
 
 from trabecula.engine.compile import inline, kernel
 from trabecula.engine.random import below, philox
-from trabecula.engine.rows import add_row
 from trabecula.measure.neighbours import place_along
 from trabecula.synth.shared.patterns.balls import (
     FRACTIONS,
@@ -210,8 +209,7 @@ def flip_block(local, phases, free, votes, draw, misfit, steps, cells, change):
     loops = np.zeros(len(euler), np.float64)
     done, was = np.empty(len(spots), np.int64), np.empty(len(spots), np.uint8)
     now, height, width = 0, local.shape[1], local.shape[2]
-    side, gained, price, whole_price = cells
-    whole = _sum_cells(gained)
+    sides, gained, price, whole, whole_price = cells
     cubes = 3 * phases * CHORDS
     combinations = powers[7] * phases
     for n in range(len(spots)):
@@ -225,7 +223,9 @@ def flip_block(local, phases, free, votes, draw, misfit, steps, cells, change):
         if new == OUTSIDE:
             continue
         count = _changes(local, around, z, y, x, new, phases, powers, grid, bins, by)
-        more = _gained(gained, side, z, y, x)
+        more = _gained(gained, sides, z, y, x)
+        if price == 0 and more[new] >= 0:
+            continue
         energy = 2.0 * price * (more[new] - more[own] + 1)
         energy += 2.0 * whole_price * (whole[new] - whole[own] + 1)
         energy += votes.effort * _depth(votes.field[:, at_z, at_y, at_x], own, new, votes.level)
@@ -260,32 +260,24 @@ def flip_block(local, phases, free, votes, draw, misfit, steps, cells, change):
         for e in range(len(euler)):
             euler_off[e] += loops[e]
     given = (local, around, phases, powers, grid, bins, by, change, done[:now], was[:now])
-    left = now - _undo(given, gained, side)
-    all_of_it = _sum_cells(gained).reshape(1, 1, 1, phases)
-    return left - _undo(given, all_of_it, local.size)
+    left = now - _undo(given, cells, False)
+    return left - _undo(given, cells, True)
 
 
 @inline
-def _sum_cells(gained):
-    """Return the sums (phases,) over cells."""
-    found = np.zeros(gained.shape[3], np.int64)
-    for z in range(gained.shape[0]):
-        for y in range(gained.shape[1]):
-            for x in range(gained.shape[2]):
-                add_row(found, gained[z, y, x])
-    return found
-
-
-@inline
-def _undo(given, gained, side):
-    """Take back the last changes that left a cell with too many of a phase. Return how many."""
+def _undo(given, cells, of_block):
+    """Take back the last changes that left a cell, or the block, with too many of a phase. Return
+    how many.
+    """
     local, around, phases, powers, grid, bins, by, change, done, was = given
+    sides, gained, price, whole, _ = cells
     height, width, undone = local.shape[1], local.shape[2], 0
     for n in range(len(done) - 1, -1, -1):
         spot = done[n]
         z, y, x = spot // (height * width), spot // width % height, spot % width
-        own, old, more = local[z, y, x], was[n], _gained(gained, side, z, y, x)
-        if own == old or more[own] <= 0:
+        own, old, more = local[z, y, x], was[n], _gained(gained, sides, z, y, x)
+        too_many = whole[own] if of_block else more[own]
+        if own == old or too_many <= 0 or (price == 0 and more[old] >= 0):
             continue
         count = _changes(local, around, z, y, x, old, phases, powers, grid, bins, by)
         for k in range(count):
@@ -293,14 +285,16 @@ def _undo(given, gained, side):
         _apply(local, around, z, y, x, old)
         more[own] -= 1
         more[old] += 1
+        whole[own] -= 1
+        whole[old] += 1
         undone += 1
     return undone
 
 
 @inline
-def _gained(gained, side, z, y, x):
+def _gained(gained, sides, z, y, x):
     """Return what the cell of a voxel of the block has too many of each phase, (phases,)."""
-    return gained[(z - MARGIN) // side, (y - MARGIN) // side, (x - MARGIN) // side]
+    return gained[(z - MARGIN) // sides[0], (y - MARGIN) // sides[1], (x - MARGIN) // sides[2]]
 
 
 @inline

@@ -48,19 +48,24 @@ class PictureFlips:
     def shown_for(self, request: Request) -> PlanePatterns | None:
         """Return what a result is brought to; None where nothing flips: the pictures are too small
         to tell their patterns, or a target asks for a fraction that they do not tell of, or there
-        is a coarse scan.
+        is a coarse scan, which has a way of its own.
         """
-        if not self.rounds or not isinstance(self.content, Labels) or request.coarse is not None:
-            return None
-        present = self.content.present
-        if not are_told(self.views, len(present)):
+        if request.coarse is not None or not self._are_told:
             return None
         if not request.target:
             return self._shown
+        assert isinstance(self.content, Labels)
         asked = self.content.fractions_of_target(request)
         if asked is None or len(asked) != 2:
             return None
-        return self._shown_at(float(asked[1]))
+        return self.shown_at(float(asked[1]))
+
+    @cached_property
+    def _are_told(self) -> bool:
+        """Whether voxels are to flip, and pictures tell their patterns."""
+        if not self.rounds or not isinstance(self.content, Labels):
+            return False
+        return are_told(self.views, len(self.content.present))
 
     @cached_property
     def _shown(self) -> PlanePatterns:
@@ -71,8 +76,12 @@ class PictureFlips:
     def _known(self) -> dict[float, PlanePatterns | None]:
         return {}
 
-    def _shown_at(self, fraction: float) -> PlanePatterns | None:
-        """Return what the pictures show of a material of another fraction, found once."""
+    def shown_at(self, fraction: float) -> PlanePatterns | None:
+        """Return what the pictures show of a material of another fraction of the second of two
+        phases, found once; None where nothing flips, or they do not tell of it.
+        """
+        if not self._are_told:
+            return None
         assert isinstance(self.content, Labels)
         if fraction not in self._known:
             self._known[fraction] = PlanePatterns.at_fraction(

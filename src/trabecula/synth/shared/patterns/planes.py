@@ -214,6 +214,21 @@ def count_squares(plane: np.ndarray, phases: int, stride: int) -> np.ndarray:
     return np.asarray(counts.reshape((phases,) * 4) / max(1, code.size))
 
 
+def with_euler(given: PatternDensities, wanted: np.ndarray) -> PatternDensities:
+    """Return the densities nearest to given ones with other Euler numbers a voxel, (numbers,) as
+    `PatternDensities.euler` has them.
+    """
+    bins, own = given.bins, given.own.copy()
+    cubes = own[bins.cubes : bins.cubes + bins.combinations]
+    eighths, whole = np.rint(8 * bins.euler).astype(np.int64), cubes.sum()
+    found = cubes / whole
+    for _ in range(_ROUNDS):
+        for counts, number in zip(eighths, wanted, strict=True):
+            found = _with_mean(found, counts, 8 * float(number) / whole)
+    cubes[:] = found * whole
+    return replace(given, own=own)
+
+
 def with_faces(
     cubes: np.ndarray, faces: Sequence[np.ndarray | None], kept: np.ndarray
 ) -> np.ndarray:
