@@ -165,7 +165,7 @@ def test_every_coarse_voxel_comes_out(material, model):
 
 @pytest.mark.whole
 def test_voxels_flip_towards_the_picture(material, model):
-    """Nearer to its squares, with joins as many as before the interface was sharpened."""
+    """And none do where no rounds are asked for."""
     truth, coarse, picture = material
     plain = tb.method("kopf", **QUICK, interface_rounds=0).fit(picture)
     before = plain.generate(truth.shape, seed=3, coarse=coarse)

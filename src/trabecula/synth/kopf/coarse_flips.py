@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from trabecula.synth.kopf.coarse_scan import CoarseScan
-from trabecula.synth.kopf.sharpening import unsharpened
 from trabecula.synth.shared.content.fields import FULL, UNIT
 from trabecula.synth.shared.patterns.counts import Patterns
 from trabecula.synth.shared.patterns.densities import PatternDensities
@@ -26,6 +25,7 @@ _WITHIN = 1.0
 
 def match_picture(
     values: np.ndarray,
+    plain: np.ndarray,
     votes: np.ndarray,
     scan: CoarseScan,
     shown: PlanePatterns,
@@ -38,8 +38,8 @@ def match_picture(
 
     Parameters
     ----------
-    values : (Z, Y, X) bool
-        Sharpened.
+    values, plain : (Z, Y, X) bool
+        Sharpened, and before that.
     votes : (Z, Y, X) int16
         That they were made of.
     scan : CoarseScan
@@ -50,8 +50,7 @@ def match_picture(
     clip : float
         Voxels at which the fields saturate.
     """
-    before = _densities(unsharpened(votes, scan.bounds(0), scan.material))
-    wanted = shown.nearest_to(with_euler(_densities(values), before.euler))
+    wanted = shown.nearest_to(with_euler(_densities(values), _densities(plain).euler))
     place = FlipRegion(bounds=scan.bounds(0, _WITHIN))
     unit = FULL / clip * UNIT
     phases = values.view(np.uint8)

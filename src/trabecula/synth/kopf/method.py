@@ -118,12 +118,13 @@ class KopfModel(SolidModel):
             rounds.run()
             rounds.work.enter("deliver")
             votes = fit_to(rounds.work.take("votes"), request.shape)[0]
-            values, told = sharpen(votes, scan.bounds(0), scan.material)
+            values, plain, told = sharpen(votes, scan.bounds(0), scan.material)
         report: dict[str, Any] = {"coarse": told}
         if shown is not None:
             with part_of(shares, 1):
                 values, report["patterns"] = match_picture(
                     values,
+                    plain,
                     votes,
                     scan,
                     shown,
@@ -229,8 +230,10 @@ class KopfModel(SolidModel):
         found = super()._stages(request, mapped=mapped)
         if request.coarse is None:
             return found
-        flips = pattern_stages(request.shape, 1, free=False, sides=request.blocks)
-        return (*found, *sharpening_stages(request.shape), *flips)
+        found = (*found, *sharpening_stages(request.shape))
+        if not self.flips.rounds:
+            return found
+        return (*found, *pattern_stages(request.shape, 1, free=False, sides=request.blocks))
 
     def _fixed(self) -> dict[str, int]:
         held = 0 if self._learnt is None else self._learnt[2].nbytes

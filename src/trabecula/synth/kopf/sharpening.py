@@ -40,9 +40,9 @@ _MARGIN = 200.0  # votes beyond the interface that a block is moved
 
 def sharpen(
     votes: np.ndarray, bounds: BlockBounds, material: Material
-) -> tuple[np.ndarray, Mapping[str, Any]]:
+) -> tuple[np.ndarray, np.ndarray, Mapping[str, Any]]:
     """Return the second phase (Z, Y, X) bool of votes, sharpened until its interface is the
-    material's, and a report.
+    material's; what it is without an unsharp mask; and a report.
 
     Parameters
     ----------
@@ -54,6 +54,8 @@ def sharpen(
     low, high, amount = 0.0, _MOST, 0.0
     for trial in range(_TRIALS + 1):
         moved = _clean(_move(votes, detail, amount, bounds, material), bounds)
+        if not trial:
+            plain, _ = _settled(moved, bounds)
         enough = interface_share([_sides(moved)])[0] >= material.interface
         if trial == _TRIALS or (enough and not amount):
             break
@@ -69,15 +71,7 @@ def sharpen(
             "result": float(interface_share([_sides(values)])[0]),
         },
     }
-    return values, report
-
-
-def unsharpened(votes: np.ndarray, bounds: BlockBounds, material: Material) -> np.ndarray:
-    """Return the second phase (Z, Y, X) bool of votes as `sharpen` would leave it without an
-    unsharp mask.
-    """
-    moved = _clean(_move(votes, _detail(votes), 0.0, bounds, material), bounds)
-    return _settled(moved, bounds)[0]
+    return values, plain, report
 
 
 def _settled(moved: np.ndarray, bounds: BlockBounds) -> tuple[np.ndarray, int]:
@@ -91,7 +85,8 @@ def sharpening_stages(shape: Sequence[int]) -> tuple[Stage, ...]:
     names = ("votes", "detail", "moved", "without specks")
     held = {name: Array(shape, np.int16) for name in names}
     around = slab_voxels(shape) + 2 * reach_of(SIGMA) * shape[1] * shape[2]
-    byte = {"values": Array(shape, bool), "sides": Array((1, *shape), np.int8)}
+    byte = {name: Array(shape, bool) for name in ("values", "plain")}
+    byte["sides"] = Array((1, *shape), np.int8)
     return (Stage("sharpen", {**held, **byte}, thread_count() * 12 * around),)
 
 

@@ -54,21 +54,25 @@ def kept_cells(shape: Sequence[int], phases: int, width: int) -> FractionCells:
 
 def cells_of(excess: np.ndarray, box: Box, width: int = CELL) -> FractionCells:
     """Return the cells of a block of a volume whose excess is `excess_of`."""
-    inside = tuple(slice(first // width, -(-last // width)) for first, last in box)
-    gained = excess[inside].copy()
-    return FractionCells((width,) * 3, gained, _MET, gained.sum(axis=(0, 1, 2)), _KEPT)
+    sides = (width,) * 3
+    gained = _inside(excess, box, sides)
+    return FractionCells(sides, gained, _MET, gained.sum(axis=(0, 1, 2)), _KEPT)
 
 
 def bounded_cells(excess: np.ndarray, box: Box, sides: tuple[int, int, int]) -> FractionCells:
     """Return the cells of a block that keep what they have at most; the block keeps its
     fraction.
     """
-    inside = tuple(
-        slice(first // side, -(-last // side))
-        for (first, last), side in zip(box, sides, strict=True)
-    )
-    gained = excess[inside].copy()
+    gained = _inside(excess, box, sides)
     return FractionCells(sides, gained, 0.0, np.zeros(gained.shape[3], np.int64), _KEPT)
+
+
+def _inside(excess: np.ndarray, box: Box, sides: tuple[int, int, int]) -> np.ndarray:
+    """Return a copy of what the cells of a block have."""
+    cut = zip(box, sides, strict=True)
+    return excess[
+        tuple(slice(first // side, -(-last // side)) for (first, last), side in cut)
+    ].copy()
 
 
 def excess_of(

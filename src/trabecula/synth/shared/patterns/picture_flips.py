@@ -62,7 +62,7 @@ class PictureFlips:
 
     @cached_property
     def _are_told(self) -> bool:
-        """Whether voxels are to flip, and pictures tell their patterns."""
+        """Return whether voxels are to flip, and pictures tell their patterns."""
         if not self.rounds or not isinstance(self.content, Labels):
             return False
         return are_told(self.views, len(self.content.present))
