@@ -95,6 +95,16 @@ def for_items(work: Callable[[int, int], object], count: int, *, least: int = 1)
     _run(work, count, min(thread_count(), max(1, count // least)), least)
 
 
+def for_each(work: Callable[[S], object], items: Sequence[S]) -> None:
+    """Call `work` with every item, as `for_items` shares a list."""
+
+    def some(start: int, stop: int) -> None:
+        for item in items[start:stop]:
+            work(item)
+
+    for_items(some, len(items))
+
+
 def map_items(
     work: Callable[[S], T], items: Sequence[S], label: str, *, most: int | None = None
 ) -> list[T]:

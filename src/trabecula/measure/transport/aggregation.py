@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 
 from trabecula.engine.compile import kernel
-from trabecula.engine.parallel import one_blas_thread
+from trabecula.engine.parallel import for_each, one_blas_thread
 from trabecula.measure.transport.graph import Graph
-from trabecula.measure.transport.sweep_parts import SweptNodes, cut_planes, for_parts
+from trabecula.measure.transport.sweep_parts import SweptNodes, cut_planes
 from trabecula.measure.union_find import join, number_trees
 from trabecula.numerics.vectors import for_chunks
 
@@ -61,17 +61,15 @@ class GraphLevel:
     def presmooth(self, right: np.ndarray, x: np.ndarray | None) -> np.ndarray:
         """Return the result of a forward Gauss-Seidel sweep from zero (the K-cycle has no other
         start)."""
-        g, out = self.graph, np.empty(len(right), np.float32)
-        linked = g.start, g.middle, g.other, g.weight, self.inverse, right, out
-        for_parts(lambda part: _forward(*linked, part.start, part.edge, part.stop), self.parts)
-        return out
+        given = self.graph, self.inverse, right, np.empty(len(right), np.float32)
+        for_each(lambda part: _forward(*given, part), self.parts)
+        return given[-1]
 
     def restrict(self, right: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return the residual of a swept x, summed over aggregates."""
-        g, coarse = self.graph, np.zeros(self.count, np.float32)
-        linked = g.start, g.middle, g.other, g.weight, self.aggregate, x, coarse
-        for_parts(lambda part: _restrict(*linked, part.start, part.edge, part.stop), self.parts)
-        return coarse
+        given = self.graph, self.aggregate, x, np.zeros(self.count, np.float32)
+        for_each(lambda part: _restrict(*given, part), self.parts)
+        return given[-1]
 
     def prolong(self, correction: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Add the correction of its aggregate to every node."""
@@ -80,9 +78,9 @@ class GraphLevel:
 
     def postsmooth(self, right: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Smooth x by a backward Gauss-Seidel sweep."""
-        g, old = self.graph, x.copy() if len(self.parts) > 1 else x
-        linked = g.start, g.other, g.weight, self.inverse, right, x, old
-        for_parts(lambda part: _backward(*linked, *part), self.parts)
+        old = x.copy() if len(self.parts) > 1 else x
+        given = self.graph, self.inverse, right, x, old
+        for_each(lambda part: _backward(*given, part), self.parts)
         return x
 
     def solve(self, right: np.ndarray) -> np.ndarray:
@@ -156,7 +154,7 @@ def _join_parts(
         found = _aggregate_blocks(*linked, strongest, part.place, strong, first)
         aggregate[first:last], counts[n] = found
 
-    for_parts(join_part, range(len(parts)))
+    for_each(join_part, range(len(parts)))
     groups = list(pairwise([0, *np.cumsum(counts).tolist()]))
     for (first, last), (before, _) in zip(bounds, groups, strict=True):
         aggregate[first:last] += np.int32(before)
@@ -184,10 +182,9 @@ def _sum_parts(
     def sum_part(n: int, mark: np.ndarray, used: int, to: np.ndarray, pull: np.ndarray) -> int:
         """Return where its couplings end; its rows are held no longer than this call."""
         part, (first, last), (done, end) = parts[n].rows(), bounds[n], groups[n]
-        linked = *part.rows, part.middle, part.place
         out = begin[done:end], half[done:end], to, pull, total[done:end], where[done:end]
         own = aggregate[first:last] - np.int32(done)
-        return int(_galerkin(*linked, own, aggregate, mark, done, used, *out))
+        return int(_galerkin(part, own, aggregate, mark, done, used, Graph(*out)))
 
     def sum_run(number: int) -> None:
         start, stop = runs[number]
@@ -198,7 +195,7 @@ def _sum_parts(
             used = sum_part(n, mark, used, to, pull)
         found[number] = to[:used], pull[:used]
 
-    for_parts(sum_run, range(len(runs)))
+    for_each(sum_run, range(len(runs)))
     used = 0
     for (start, stop), columns in zip(runs, found, strict=True):
         inside = slice(groups[start][0], groups[stop - 1][1])
@@ -254,10 +251,12 @@ def _times(matrix, right):
 
 
 @kernel
-def _forward(start, middle, other, weight, inverse, right, x, first, edge, stop):
-    """Sweep the nodes first..stop once by Gauss-Seidel from zero: only neighbours before a node
-    have a value yet, and none of another part, as those before `edge` have.
+def _forward(graph, inverse, right, x, part):
+    """Sweep the nodes of a part once by Gauss-Seidel from zero: only neighbours before a node have
+    a value yet, and none of another part, as those before `edge` have.
     """
+    start, middle, other, weight = graph.start, graph.middle, graph.other, graph.weight
+    first, edge, _, stop = part
     for i in range(first, edge):
         total = right[i]
         for k in range(start[i], middle[i]):
@@ -272,10 +271,12 @@ def _forward(start, middle, other, weight, inverse, right, x, first, edge, stop)
 
 
 @kernel
-def _restrict(start, middle, other, weight, aggregate, x, coarse, first, edge, stop):
+def _restrict(graph, aggregate, x, coarse, part):
     """Add the residual to aggregates: after a forward sweep, the sum over the later neighbours, and
     over those of the part before.
     """
+    start, middle, other, weight = graph.start, graph.middle, graph.other, graph.weight
+    first, edge, _, stop = part
     for i in range(first, stop):
         total = np.float32(0.0)
         for k in range(middle[i], start[i + 1]):
@@ -294,10 +295,12 @@ def _prolong(aggregate, coarse, x, start, stop):
 
 
 @kernel
-def _backward(start, other, weight, inverse, right, x, old, first, edge, back, stop):
-    """Sweep the nodes first..stop once by Gauss-Seidel, the last one first; neighbours of other
+def _backward(graph, inverse, right, x, old, part):
+    """Sweep the nodes of a part once by Gauss-Seidel, the last one first; neighbours of other
     parts, which those before `edge` and from `back` on have, are `old`.
     """
+    start, other, weight = graph.start, graph.other, graph.weight
+    first, edge, back, stop = part
     for i in range(stop - 1, first - 1, -1):
         total = right[i]
         if edge <= i < back:
@@ -371,31 +374,15 @@ def _list_members(aggregate, count):
 
 
 @kernel
-def _galerkin(
-    start,
-    other,
-    weight,
-    diagonal,
-    middle,
-    place,
-    own,
-    aggregate,
-    mark,
-    done,
-    used,
-    begin,
-    half,
-    to,
-    pull,
-    total,
-    where,
-):
-    """Set rows of the matrix between aggregates, as the fields of a Graph: sums of the couplings
+def _galerkin(part, own, aggregate, mark, done, used, out):
+    """Set rows of the matrix between aggregates, in the fields of a Graph: sums of the couplings
     between them. Return where their couplings end.
 
-    The rows are those of nodes whose aggregates, less `done`, are `own`; before them are `used`
-    couplings. `mark` holds where the last coupling to an aggregate is.
+    The rows are those of the nodes of a `part`, a Graph, whose aggregates, less `done`, are `own`;
+    before them are `used` couplings. `mark` holds where the last coupling to an aggregate is.
     """
+    start, _, other, weight, diagonal, place = part
+    begin, half, to, pull, total, where = out
     first, member = _list_members(own, len(begin))
     at = used
     for c in range(len(begin)):

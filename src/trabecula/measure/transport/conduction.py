@@ -263,8 +263,9 @@ def _conduct(
         lost = abs(system.power_lost(at))
         return imbalance(flow) <= tolerance and lost <= tolerance * abs(float(flow.mean()))
 
+    none = np.zeros(0)  # the system keeps no solution
     last, converged = conjugate_gradients(
-        system, np.zeros(0), residual, accept=accept, most=_MOST_STEPS, flexible=True
+        system, none, residual, accept=accept, most=_MOST_STEPS, flexible=True
     )
     flow = system.flow
     depth, height, width = labels.shape

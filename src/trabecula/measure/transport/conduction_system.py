@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trabecula.engine.compile import kernel
+from trabecula.engine.parallel import for_each
 from trabecula.measure.transport import conduction_segments as kernels
 from trabecula.measure.transport.conduction_segments import ConductionSegments
 from trabecula.measure.transport.finest_level import FinestLevel
 from trabecula.measure.transport.graph import Graph
-from trabecula.measure.transport.sweep_parts import SweptNodes, cut_planes, for_parts
+from trabecula.measure.transport.sweep_parts import SweptNodes, cut_planes
 from trabecula.numerics.krylov import Iterate, LinearSystem, Scalar
 from trabecula.numerics.multigrid import Multigrid, k_cycle
 from trabecula.numerics.vectors import add_to, dot, for_chunks
@@ -37,9 +38,9 @@ class SegmentPart(NamedTuple):
 class ConductionLevel(FinestLevel):
     """The finest level of the multigrid."""
 
-    def __init__(self, part: ConductionSegments) -> None:
-        self.segments = part
+    part: ConductionSegments
 
+    def __init__(self, part: ConductionSegments) -> None:
         def rows(number: np.ndarray, a: int, b: int) -> Graph:
             linked = part.table[a:b], part.code[a:b], part.coupling, part.place[a:b], number
             return Graph(*kernels.conduction_graph(*linked))
@@ -54,10 +55,10 @@ class ConductionLevel(FinestLevel):
         """Return the result of a forward Gauss-Seidel sweep from zero."""
 
         def sweep(part: SegmentPart) -> None:
-            edge = part.cut.edge - part.cut.start
+            edge, _ = part.cut.edges
             kernels.sweep_forward(*self.matrix(part), right, self.x, edge, self.part.slots)
 
-        for_parts(sweep, self.parts)
+        for_each(sweep, self.parts)
         return self.x
 
     def restrict(self, right: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -65,10 +66,10 @@ class ConductionLevel(FinestLevel):
         self.coarse[:] = 0.0
 
         def add(part: SegmentPart) -> None:
-            edge = part.cut.edge - part.cut.start
+            edge, _ = part.cut.edges
             kernels.restrict(*self.matrix(part), self.aggregate, x, self.coarse, edge)
 
-        for_parts(add, self.parts)
+        for_each(add, self.parts)
         return self.coarse
 
     def postsmooth(self, right: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -78,17 +79,15 @@ class ConductionLevel(FinestLevel):
                 self._room[plane.start + shift : plane.stop + shift] = x[plane]
 
         def sweep(part: SegmentPart) -> None:
-            cut = part.cut
-            edges = cut.edge - cut.start, cut.back - cut.start
-            given = right, self._room, edges, self.part.slots, part.shifts
+            given = right, self._room, part.cut.edges, self.part.slots, part.shifts
             kernels.sweep_backward(*self.matrix(part), *given)
 
-        for_parts(sweep, self.parts)
+        for_each(sweep, self.parts)
         return x
 
     def matrix(self, part: SegmentPart) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the rows of a part."""
-        found, inside = self.segments, part.cut.inside
+        found, inside = self.part, part.cut.inside
         return found.table[inside], found.code[inside], found.coupling
 
 
@@ -149,11 +148,10 @@ class ConductionSystem(LinearSystem):
         """Return the matrix times a vector, in the same array at every call."""
 
         def work(one: SegmentPart) -> None:
-            place = self.part.place[one.cut.inside]
-            linked = *self.finest.matrix(one), place
+            linked = *self.finest.matrix(one), self.part.place[one.cut.inside]
             kernels.multiply(*linked, vector, self.product, self._passed)
 
-        for_parts(work, self.finest.parts)
+        for_each(work, self.finest.parts)
         return self.product
 
     def precondition(self, residual: np.ndarray) -> np.ndarray:

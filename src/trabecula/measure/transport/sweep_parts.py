@@ -7,18 +7,13 @@ threads share them, and what comes out depends on the parts alone, which the gri
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
-from trabecula.engine.parallel import for_items
-
 THIN = 8
 """Planes of a part, at least: the fewer, the more a sweep forgets."""
-
-P = TypeVar("P")
 
 
 class SweptNodes(NamedTuple):
@@ -35,6 +30,11 @@ class SweptNodes(NamedTuple):
     def inside(self) -> slice:
         """Return all of them."""
         return slice(self.start, self.stop)
+
+    @property
+    def edges(self) -> tuple[int, int]:
+        """Return `edge` and `back`, counted from the part's first."""
+        return self.edge - self.start, self.back - self.start
 
 
 def cut_planes(
@@ -69,16 +69,3 @@ def cut_planes(
         )
         for a, b in pairwise(bounds)
     ]
-
-
-def for_parts(work: Callable[[P], object], parts: Sequence[P]) -> None:
-    """Call `work` with every part, in threads."""
-    if len(parts) == 1:
-        work(parts[0])
-        return
-
-    def some(start: int, stop: int) -> None:
-        for part in parts[start:stop]:
-            work(part)
-
-    for_items(some, len(parts))

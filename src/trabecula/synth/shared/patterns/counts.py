@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from threading import Lock
 
@@ -25,7 +25,7 @@ import numpy as np
 
 from trabecula.engine import memmap
 from trabecula.engine.chunking import Box, boxes_of
-from trabecula.engine.parallel import for_items
+from trabecula.engine.parallel import for_each
 from trabecula.measure.configurations import cube_euler
 from trabecula.synth.shared.patterns.balls import FRACTIONS, RADII, UNIT, count_balls
 from trabecula.synth.shared.patterns.kernels import (
@@ -202,11 +202,7 @@ def cut_out(phases: np.ndarray, valid: np.ndarray, box: Box, wraps: np.ndarray) 
 def for_blocks(work: Callable[[int], object], blocks: Sequence[Box]) -> None:
     """Call `work` with the number of every block, in threads, layer by layer."""
 
-    def work_from(first: int, start: int, stop: int) -> None:
-        for n in range(first + start, first + stop):
-            work(n)
-
     starts = [n for n, box in enumerate(blocks) if n == 0 or box[0] != blocks[n - 1][0]]
     for first, stop in pairwise([*starts, len(blocks)]):
-        for_items(partial(work_from, first), stop - first)
+        for_each(work, range(first, stop))
         memmap.release_pages()
