@@ -33,7 +33,7 @@ _MOST_CONTRAST = 1e12
 
 CONDUCTION_BYTES = 72
 """Memory per voxel that conducts, at the peak: resident memory, from 80 to 240 voxels an edge and
-of one thread or two; 13 to 40 where structures are some voxels wide, 57 to 81 in white noise."""
+of one thread or two; 13 to 34 where structures are some voxels wide, 36 to 81 in white noise."""
 
 
 def diffusivity(
