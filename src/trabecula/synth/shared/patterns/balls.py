@@ -11,6 +11,8 @@ On a local array as in `kernels`. No ball that holds a voxel of the block leaves
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
@@ -25,6 +27,9 @@ UNIT = 1 << 12
 _NEARLY_EMPTY = (0, 0.01, 0.03, 0.07, 0.13, 0.21, 0.3, 0.4)
 FRACTIONS = np.array([*_NEARLY_EMPTY, 0.5, *(1 - one for one in _NEARLY_EMPTY[::-1])])
 """Fractions that balls count for, closest where a ball nearly fits into a phase."""
+
+BALL_BINS = 2 * len(RADII) * len(FRACTIONS)
+"""Bins of balls that one voxel changes at most."""
 
 OUTSIDE = 255
 
@@ -49,8 +54,8 @@ def _shares() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         full = np.arange(voxels + 1)
         below = np.minimum(np.searchsorted(knots, full, side="right") - 1, len(knots) - 2)
         share = (full - knots[below]) / (knots[below + 1] - knots[below])
-        lower.append(below)
-        parts.append(np.rint(UNIT * share).astype(np.int64))
+        lower.append(below.astype(np.uint8))
+        parts.append(np.rint(UNIT * share).astype(np.int16))
         begins.append(begins[-1] + len(full))
     return np.array(begins), np.concatenate(lower), np.concatenate(parts)
 
@@ -64,12 +69,50 @@ _half_rows = np.array(
 )  # half of the row of a ball whose distance from its centre has this square
 
 
+def _balls_of_places() -> tuple[np.ndarray, np.ndarray]:
+    """Return the balls that hold a voxel, (n, 3), counted from the one before it along each axis:
+    by their radius, and by where among `STEP`^3 voxels the voxel is; and where those of each begin,
+    (radii, places + 1).
+    """
+    ahead = np.arange(-_LEAD, _LEAD + 1)
+    balls = np.stack(np.meshgrid(ahead, ahead, ahead, indexing="ij"), axis=-1).reshape(-1, 3)
+    places = np.stack(np.unravel_index(np.arange(STEP**3), (STEP,) * 3), axis=-1)
+    far = np.square(STEP * balls - places[:, None]).sum(axis=-1)
+    held = [far <= radius**2 for radius in RADII]
+    counts = np.concatenate([[0], *(one.sum(axis=1) for one in held)]).cumsum()
+    firsts = [counts[n * STEP**3 :][: STEP**3 + 1] for n in range(len(RADII))]
+    return np.concatenate([balls[np.nonzero(one)[1]] for one in held]), np.array(firsts)
+
+
+_near, _first_near = _balls_of_places()
+
+
+class FilledBalls(NamedTuple):
+    """The balls that meet a block.
+
+    Attributes
+    ----------
+    fills : (radii, channels, z, y, x) int32
+        How many voxels of a phase they hold: of two phases of the second, else of each; -1 where
+        one leaves the material.
+    lines : (n,) int64
+        From the ball before a voxel, along each axis, to one that holds it: steps in fills (z, y,
+        x), read as one line.
+    tally : (fractions,) int64
+        Room for what one voxel changes; zero.
+    """
+
+    fills: np.ndarray
+    lines: np.ndarray
+    tally: np.ndarray
+
+
 @kernel
 def count_balls(local, margin, phases, counts, rooms):
     """Count the balls whose centres are in the block: counts (radii x channels x fractions,) and
     rooms (radii,), both in parts.
     """
-    fills = fill_balls(local, margin, phases)
+    fills = _fill_balls(local, margin, phases)
     for n in range(len(RADII)):
         for c in range(fills.shape[1]):
             first = (n * fills.shape[1] + c) * _FRACTIONS
@@ -86,7 +129,7 @@ def count_balls(local, margin, phases, counts, rooms):
 
 
 @inline
-def fill_balls(local, margin, phases):
+def _fill_balls(local, margin, phases):
     """Return how many voxels of a phase the balls hold that meet the block, (radii, channels, z, y,
     x); -1 where one leaves the material. Of two phases the second has a channel, else all have one.
     """
@@ -146,50 +189,66 @@ def _fill(sums, n, z, y, x):
 
 
 @inline
-def list_ball_changes(fills, z, y, x, own, new, first, scratch, bins, by, count):
+def filled_balls(local, margin, phases):
+    """Return the balls that meet the block, and room for what one voxel changes."""
+    return _filled(_fill_balls(local, margin, phases))
+
+
+@inline
+def no_balls():
+    """Return none."""
+    return _filled(np.empty((0, 0, 0, 0, 0), np.int32))
+
+
+@inline
+def _filled(fills):
+    lines = np.empty(len(_near), np.int64)
+    for n in range(len(_near)):
+        z, y, x = _near[n]
+        lines[n] = (z * fills.shape[3] + y) * fills.shape[4] + x
+    return FilledBalls(fills, lines, np.zeros(_FRACTIONS, np.int64))
+
+
+@inline
+def list_ball_changes(balls, place, own, new, first, found, count):
     """List the bins, from `first` on, that change where a voxel of the block becomes a phase, and
-    by how many parts; return how many. `scratch` is what `ball_scratch` returns.
+    by how many parts; return how many.
     """
-    tally, around = scratch
+    fills, lines, tally = balls
     channels = fills.shape[1]
     for n in range(len(RADII)):
-        near = _balls_around(fills[n, 0], n, z, y, x, around)
+        begin, stop, line = _balls_around(fills, n, place)
         for c in range(channels):
             more = _gained(c, channels, own, new)
             if more == 0:
                 continue
             full = fills[n, c].reshape(-1)
-            for k in range(near):
-                if full[around[k]] >= 0:
-                    _refill(_begins[n] + full[around[k]], more, tally)
+            for k in range(begin, stop):
+                there = full[np.uint64(line + lines[k])]
+                if there >= 0:
+                    _refill(_begins[n] + there, more, tally)
             for k in range(_FRACTIONS):
                 if tally[k] != 0:
-                    bins[count] = first + (n * channels + c) * _FRACTIONS + k
-                    by[count] = tally[k]
+                    found.bins[count] = first + (n * channels + c) * _FRACTIONS + k
+                    found.by[count] = tally[k]
                     tally[k] = 0
                     count += 1
     return count
 
 
 @inline
-def refill_balls(fills, z, y, x, own, new, scratch):
+def refill_balls(balls, place, own, new):
     """Fill the balls around a voxel of the block that became a phase."""
-    _, around = scratch
+    fills, lines, _ = balls
     channels = fills.shape[1]
     for n in range(len(RADII)):
-        near = _balls_around(fills[n, 0], n, z, y, x, around)
+        begin, stop, line = _balls_around(fills, n, place)
         for c in range(channels):
             more = _gained(c, channels, own, new)
             full = fills[n, c].reshape(-1)
-            for k in range(near):
-                if full[around[k]] >= 0:
-                    full[around[k]] += more
-
-
-@inline
-def ball_scratch():
-    """Return room for what one voxel changes: parts (fractions,), zero, and balls around it."""
-    return np.zeros(_FRACTIONS, np.int64), np.empty((2 * _LEAD + 1) ** 3, np.int64)
+            for k in range(begin, stop):
+                if full[line + lines[k]] >= 0:
+                    full[line + lines[k]] += more
 
 
 @inline
@@ -203,39 +262,27 @@ def _gained(channel, channels, own, new):
 @inline
 def _refill(at, more, tally):
     """Add what a ball changes that gets `more` voxels of a phase."""
-    tally[_lower[at]] -= UNIT - _parts[at]
-    tally[_lower[at] + 1] -= _parts[at]
-    tally[_lower[at + more]] += UNIT - _parts[at + more]
-    tally[_lower[at + more] + 1] += _parts[at + more]
+    before, after = np.uint64(at), np.uint64(at + more)
+    low, high = np.uint64(_lower[before]), np.uint64(_lower[after])
+    if low == high:
+        parts = _parts[after] - _parts[before]
+        tally[low] -= parts
+        tally[low + np.uint64(1)] += parts
+    else:
+        tally[low] -= UNIT - _parts[before]
+        tally[low + np.uint64(1)] -= _parts[before]
+        tally[high] += UNIT - _parts[after]
+        tally[high + np.uint64(1)] += _parts[after]
 
 
 @inline
-def _balls_around(fills, n, z, y, x, found):
-    """List the balls of a radius that hold a voxel of the block, by their place in fills (z, y, x)
-    read as one line; return how many.
+def _balls_around(fills, n, place):
+    """Return which of `_near` are the balls of a radius that hold a voxel of the block, from one to
+    the one after the last, and where in fills (z, y, x), read as one line, they begin to be
+    counted.
     """
-    radius, count = RADII[n], 0
-    for k in range(_first_ball(z, radius), _last_ball(z, radius) + 1):
-        dz = (k - _LEAD) * STEP - z
-        for j in range(_first_ball(y, radius), _last_ball(y, radius) + 1):
-            dy = (j - _LEAD) * STEP - y
-            far = dz * dz + dy * dy
-            if far > radius * radius:
-                continue
-            half, line = _half_rows[n, far], (k * fills.shape[1] + j) * fills.shape[2]
-            for i in range(_first_ball(x, half), _last_ball(x, half) + 1):
-                found[count] = line + i
-                count += 1
-    return count
-
-
-@inline
-def _first_ball(place, reach):
-    """Return the first ball along an axis whose centre is within reach of a place in the block."""
-    return (place + _LEAD * STEP - reach + STEP - 1) // STEP
-
-
-@inline
-def _last_ball(place, reach):
-    """Return the last one."""
-    return (place + _LEAD * STEP + reach) // STEP
+    z, y, x = place
+    within = ((z % STEP) * STEP + y % STEP) * STEP + x % STEP
+    line = (z // STEP + _LEAD) * fills.shape[3] + y // STEP + _LEAD
+    first = _first_near[n]
+    return first[within], first[within + 1], line * fills.shape[4] + x // STEP + _LEAD

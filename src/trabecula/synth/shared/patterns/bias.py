@@ -18,7 +18,8 @@ import numpy as np
 from trabecula.synth.shared.patterns.counts import Bins
 from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.excess import FractionCells, kept_cells
-from trabecula.synth.shared.patterns.kernels import MARGIN, flip_block
+from trabecula.synth.shared.patterns.flip_block import flip_block
+from trabecula.synth.shared.patterns.kernels import MARGIN
 from trabecula.synth.shared.patterns.misfit import EFFORT, Misfit, VotePrice, steps_around
 
 _ROUNDS = 3  # of measuring what is still off: flips fall short of what they are asked for

@@ -42,7 +42,8 @@ from trabecula.synth.shared.patterns.excess import (
     excess_of,
     kept_cells,
 )
-from trabecula.synth.shared.patterns.kernels import MARGIN, flip_block
+from trabecula.synth.shared.patterns.flip_block import flip_block
+from trabecula.synth.shared.patterns.kernels import MARGIN
 from trabecula.synth.shared.patterns.misfit import EFFORT, Misfit, VotePrice, steps_around
 from trabecula.synth.shared.slabs import tally_by_slabs
 
