@@ -22,7 +22,8 @@ RADII = (4, 8)
 STEP = 4
 """Voxels between the centres of balls along an axis."""
 
-UNIT = 1 << 12
+_UNIT_BITS = 12
+UNIT = 1 << _UNIT_BITS
 
 _NEARLY_EMPTY = (0, 0.01, 0.03, 0.07, 0.13, 0.21, 0.3, 0.4)
 FRACTIONS = np.array([*_NEARLY_EMPTY, 0.5, *(1 - one for one in _NEARLY_EMPTY[::-1])])
@@ -61,6 +62,10 @@ def _shares() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 _begins, _lower, _parts = _shares()
+# parts that leave the lower fraction for the upper one where a ball gets one more, and before their
+# bits the lower one; from one ball to the next radius nothing steps
+_moved = np.where(_lower[1:] == _lower[:-1], _parts[1:], UNIT).astype(np.int32) - _parts[:-1]
+_steps = _moved + (_lower[:-1].astype(np.int32) << _UNIT_BITS)
 _half_rows = np.array(
     [
         [int(np.sqrt(max(radius**2 - far, 0))) for far in range(RADII[-1] ** 2 + 1)]
@@ -92,7 +97,7 @@ class FilledBalls(NamedTuple):
 
     Attributes
     ----------
-    fills : (radii, channels, z, y, x) int32
+    fills : (radii, channels, z, y, x) int16
         How many voxels of a phase they hold: of two phases of the second, else of each; -1 where
         one leaves the material.
     lines : (n,) int64
@@ -137,7 +142,7 @@ def _fill_balls(local, margin, phases):
     sides = np.empty(3, np.int64)
     for axis in range(3):
         sides[axis] = (local.shape[axis] - 2 * margin - 1) // STEP + 1 + 2 * _LEAD
-    fills = np.empty((len(RADII), channels, sides[0], sides[1], sides[2]), np.int32)
+    fills = np.empty((len(RADII), channels, sides[0], sides[1], sides[2]), np.int16)
     sums = np.empty((local.shape[0], local.shape[1], local.shape[2] + 1), np.uint16)
     for c in range(channels):
         _sum_rows(local, 1 if channels == 1 else c, sums)
@@ -173,7 +178,7 @@ def _sum_rows(local, phase, sums):
 @inline
 def _fill(sums, n, z, y, x):
     """Return how many voxels of a phase a ball holds; -1 where it leaves the material."""
-    radius, found = RADII[n], np.int32(0)
+    radius, found = RADII[n], 0
     for dz in range(-radius, radius + 1):
         for dy in range(-radius, radius + 1):
             far = dz * dz + dy * dy
@@ -183,7 +188,7 @@ def _fill(sums, n, z, y, x):
             row = sums[z + dz, y + dy]
             both = np.int32(row[x + half + 1]) - np.int32(row[x - half])
             if both > 255:
-                return np.int32(-1)
+                return -1
             found += both
     return found
 
@@ -197,7 +202,7 @@ def filled_balls(local, margin, phases):
 @inline
 def no_balls():
     """Return none."""
-    return _filled(np.empty((0, 0, 0, 0, 0), np.int32))
+    return _filled(np.empty((0, 0, 0, 0, 0), np.int16))
 
 
 @inline
@@ -226,12 +231,15 @@ def list_ball_changes(balls, place, own, new, first, found, count):
             for k in range(begin, stop):
                 there = full[np.uint64(line + lines[k])]
                 if there >= 0:
-                    _refill(_begins[n] + there, more, tally)
+                    step = _steps[np.uint64(_begins[n] + there + min(more, 0))]
+                    tally[np.uint64(step >> _UNIT_BITS)] += step & (UNIT - 1)
+            moved = np.int64(0)
             for k in range(_FRACTIONS):
-                if tally[k] != 0:
+                by, moved = moved - tally[k], tally[k]
+                tally[k] = 0
+                if by != 0:
                     found.bins[count] = first + (n * channels + c) * _FRACTIONS + k
-                    found.by[count] = tally[k]
-                    tally[k] = 0
+                    found.by[count] = more * by
                     count += 1
     return count
 
@@ -257,22 +265,6 @@ def _gained(channel, channels, own, new):
     if channels == 1:
         return np.int64(new) - np.int64(own)
     return np.int64(channel == new) - np.int64(channel == own)
-
-
-@inline
-def _refill(at, more, tally):
-    """Add what a ball changes that gets `more` voxels of a phase."""
-    before, after = np.uint64(at), np.uint64(at + more)
-    low, high = np.uint64(_lower[before]), np.uint64(_lower[after])
-    if low == high:
-        parts = _parts[after] - _parts[before]
-        tally[low] -= parts
-        tally[low + np.uint64(1)] += parts
-    else:
-        tally[low] -= UNIT - _parts[before]
-        tally[low + np.uint64(1)] -= _parts[before]
-        tally[high] += UNIT - _parts[after]
-        tally[high + np.uint64(1)] += _parts[after]
 
 
 @inline

@@ -20,28 +20,19 @@ from trabecula.synth.shared.patterns.balls import (
 )
 from trabecula.synth.shared.patterns.kernels import (
     CHORDS,
-    CORNERS,
-    EDGES,
     MARGIN,
     NEIGHBOURS,
     OUTSIDE,
     REACH,
     STRIDES,
-    neighbours_of,
+    WEIGHTS,
+    neighbours_of_row,
 )
 
 MOST_CHANGES = 3 * 7 + len(STRIDES) * 16 + 54 + BALL_BINS
 """Bins that one voxel changes at most."""
 
 _strides = np.array(STRIDES)
-_weights = np.array(
-    [
-        (0, EDGES * CORNERS, CORNERS, 1)[abs(z) + abs(y) + abs(x)]
-        for z in (-1, 0, 1)
-        for y in (-1, 0, 1)
-        for x in (-1, 0, 1)
-    ]
-)  # of neighbours in their code, (27,)
 
 
 class PatternBlock(NamedTuple):
@@ -88,18 +79,19 @@ class ChangeList(NamedTuple):
 def pattern_block(local, phases, balls):
     """Return the block of a local array, whose neighbours are looked up."""
     steps = (local.shape[1] * local.shape[2], local.shape[2], 1)
-    near = np.empty(27, np.int64)
+    near, voxels = np.empty(27, np.int64), local.reshape(-1)
     for n in range(27):
         near[n] = (n // 9 - 1) * steps[0] + (n // 3 % 3 - 1) * steps[1] + n % 3 - 1
-    codes = np.full(local.shape, -1, np.int16)
+    codes = np.full(local.size, -1, np.int16)
+    side = local.shape[2] - 2 * MARGIN + 2
+    row, seen = np.empty(side, np.int32), np.empty(side, np.uint8)
     for z in range(MARGIN - 1, local.shape[0] - MARGIN + 1):
         for y in range(MARGIN - 1, local.shape[1] - MARGIN + 1):
-            for x in range(MARGIN - 1, local.shape[2] - MARGIN + 1):
-                if local[z, y, x] != OUTSIDE:
-                    codes[z, y, x] = neighbours_of(local, z, y, x)
+            neighbours_of_row(local, z, y, row, seen)
+            first = z * steps[0] + y * steps[1] + MARGIN - 1
+            codes[first : first + side] = row
     cubes = (phases ** np.arange(8), np.empty(18, np.int64), np.empty(12, np.int64))
-    voxels = local.reshape(-1)
-    return PatternBlock(phases, voxels, steps, near, codes.reshape(-1), balls, *cubes)
+    return PatternBlock(phases, voxels, steps, near, codes, balls, *cubes)
 
 
 @inline
@@ -115,7 +107,7 @@ def change_voxel(block, voxel, place, new):
     voxels[voxel] = new
     alike = np.int64(0)
     for n in range(27):
-        near, weight = voxel + block.near[n], _weights[n]
+        near, weight = voxel + block.near[n], WEIGHTS[n]
         there = _at(voxels, near)
         if there == new:
             alike += weight
@@ -199,7 +191,7 @@ def _list_neighbours(block, voxel, new, first, found, count):
     """List the neighbours of the voxel and of those around it."""
     own, alike = _at(block.voxels, voxel), np.int64(0)  # of the new phase, around the voxel
     for n in range(27):
-        near, weight = voxel + block.near[n], _weights[n]
+        near, weight = voxel + block.near[n], WEIGHTS[n]
         there, code = _at(block.voxels, near), np.int64(_at(block.codes, near))
         if there == new:
             alike += weight

@@ -22,8 +22,18 @@ STRIDES = (1, 2, 3, 5)
 
 MARGIN = REACH + 3
 
-_FACES, EDGES, CORNERS = 7, 13, 9  # of their counts: 0 .. 6, 0 .. 12, 0 .. 8
-NEIGHBOURS = _FACES * EDGES * CORNERS
+_FACES, _EDGES, _CORNERS = 7, 13, 9  # of their counts: 0 .. 6, 0 .. 12, 0 .. 8
+NEIGHBOURS = _FACES * _EDGES * _CORNERS
+
+WEIGHTS = np.array(
+    [
+        (0, _EDGES * _CORNERS, _CORNERS, 1)[abs(z) + abs(y) + abs(x)]
+        for z in (-1, 0, 1)
+        for y in (-1, 0, 1)
+        for x in (-1, 0, 1)
+    ]
+)
+"""Of neighbours in their code, (27,): nothing in the middle."""
 
 _strides = np.array(STRIDES)
 
@@ -52,26 +62,26 @@ def load(phases, valid, corner, wraps, local):
 def count_patterns(local, phases, counts, rooms):
     """Count the patterns of the block, and the rooms for them."""
     powers = phases ** np.arange(8)
-    low = MARGIN
-    stop = (local.shape[0] - low, local.shape[1] - low, local.shape[2] - low)
     for axis in range(3):
         _count_chords(local, axis, phases, counts, rooms)
     first = 3 * phases * CHORDS
     last = first + len(STRIDES) * powers[7] * phases
-    for z in range(low, stop[0]):
-        for y in range(low, stop[1]):
-            for x in range(low, stop[2]):
-                own = local[z, y, x]
-                if own == OUTSIDE:
-                    continue
-                for n in range(len(STRIDES)):
-                    code = _cube(local, z, y, x, _strides[n], powers)
-                    if code >= 0:
-                        counts[first + n * powers[7] * phases + code] += 1
+    side = local.shape[2] - 2 * MARGIN
+    codes, near = np.empty(side, np.int32), np.empty(side + 2, np.int32)
+    seen = np.empty(side + 2, np.uint8)
+    for z in range(MARGIN, local.shape[0] - MARGIN):
+        for y in range(MARGIN, local.shape[1] - MARGIN):
+            for n in range(len(STRIDES)):
+                _cubes_of_row(local, z, y, _strides[n], powers, codes, seen)
+                for x in range(side):
+                    if seen[x] != OUTSIDE:
+                        counts[first + n * powers[7] * phases + codes[x]] += 1
                         rooms[3 * CHORDS + n] += 1
-                code = neighbours_of(local, z, y, x)
-                if code >= 0:
-                    counts[last + own * NEIGHBOURS + code] += 1
+            neighbours_of_row(local, z, y, near, seen)
+            row = local[z, y, MARGIN : MARGIN + side]
+            for x in range(side):
+                if near[x + 1] >= 0:
+                    counts[last + row[x] * NEIGHBOURS + near[x + 1]] += 1
                     rooms[3 * CHORDS + len(STRIDES)] += 1
 
 
@@ -117,38 +127,34 @@ def _at(local, axis, k, i, j):
 
 
 @inline
-def _cube(local, z, y, x, stride, powers):
-    """Return the code of the cube whose first corner is a voxel; -1 where a corner is outside."""
-    code = np.int64(0)
+def _cubes_of_row(local, z, y, stride, powers, codes, seen):
+    """Find the codes of the cubes that have their first corner in a row of the block; what is
+    `seen` of one is `OUTSIDE` where a corner is.
+    """
+    codes[:], seen[:] = 0, 0
     for n in range(8):
-        phase = local[z + stride * (n >> 2), y + stride * ((n >> 1) & 1), x + stride * (n & 1)]
-        if phase == OUTSIDE:
-            return np.int64(-1)
-        code += powers[n] * phase
-    return code
+        first = MARGIN + stride * (n & 1)
+        line = local[z + stride * (n >> 2), y + stride * (n >> 1 & 1)]
+        row, power = line[first : first + len(codes)], np.int32(powers[n])
+        for x in range(len(codes)):
+            codes[x] += power * np.int32(row[x])
+            seen[x] |= row[x]
 
 
 @inline
-def neighbours_of(local, z, y, x):
-    """Return the code of the neighbours of a voxel's phase; -1 where one is outside."""
-    own, code = local[z, y, x], np.int64(0)
-    for dz in range(-1, 2):
-        for dy in range(-1, 2):
-            for dx in range(-1, 2):
-                there = local[z + dz, y + dy, x + dx]
-                if there == OUTSIDE:
-                    return np.int64(-1)
-                if there == own:
-                    code += _weight(dz, dy, dx)
-    return code
-
-
-@inline
-def _weight(dz, dy, dx):
-    """Return what a neighbour counts in the code; nothing in the middle."""
-    apart = abs(dz) + abs(dy) + abs(dx)
-    if apart == 1:
-        return np.int64(EDGES * CORNERS)
-    if apart == 2:
-        return np.int64(CORNERS)
-    return np.int64(1 if apart == 3 else 0)
+def neighbours_of_row(local, z, y, codes, seen):
+    """Find the codes of the neighbours of the voxels in a row of the block, and of one before and
+    one after it: -1 where one of them, or the voxel, is outside. `seen` is room.
+    """
+    codes[:], seen[:] = 0, 0
+    first = MARGIN - 1
+    own = local[z, y, first : first + len(codes)]
+    for n in range(27):
+        line, at = local[z + n // 9 - 1, y + n // 3 % 3 - 1], first + n % 3 - 1
+        row, weight = line[at : at + len(codes)], np.int32(WEIGHTS[n])
+        for x in range(len(codes)):
+            codes[x] += weight if row[x] == own[x] else 0
+            seen[x] |= row[x]
+    for x in range(len(codes)):
+        if seen[x] == OUTSIDE:
+            codes[x] = -1
