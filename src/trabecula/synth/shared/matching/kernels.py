@@ -103,24 +103,37 @@ def _distance(features, place, exemplar, candidate, total, most):
 
 
 @inline
-def _neighbour_cell(match, shape, axis, step):
-    """Return the index `step` cells further along an axis of E, or -1 outside."""
-    if axis == 0:
-        span, move = shape[0] * shape[1] * shape[2], step * shape[1] * shape[2]
-    elif axis == 1:
-        span, move = shape[1] * shape[2], step * shape[2]
-    else:
-        span, move = shape[2], step
-    place = (match if axis == 0 else match % span) + move
-    return match + move if 0 <= place < span else np.int64(-1)
+def _inverses(shape):
+    """Return one over the cells of a plane and of a row of E, for `_quotient`."""
+    return 1.0 / (shape[1] * shape[2]), 1.0 / shape[2]
 
 
 @inline
-def _around(words, match, shape, radius):
+def _quotient(number, inverse):
+    """Return number // n, of a number from 0 to 2^31, by one over n: divisions are slow."""
+    return np.int64((number + 0.5) * inverse)
+
+
+@inline
+def _neighbour_cell(match, shape, inverses, axis, step):
+    """Return the index `step` cells further along an axis of E, or -1 outside."""
+    span, move, place = shape[0] * shape[1] * shape[2], step * shape[1] * shape[2], match
+    if axis == 1:
+        span, move = shape[1] * shape[2], step * shape[2]
+        place = match - _quotient(match, inverses[0]) * span
+    elif axis == 2:
+        span, move = shape[2], step
+        place = match - _quotient(match, inverses[1]) * span
+    return match + move if 0 <= place + move < span else np.int64(-1)
+
+
+@inline
+def _around(words, match, shape, inverses, radius):
     """Draw a random cell within `radius` of `match`, clamped to E."""
-    x = match % shape[2] + below(words[3], 2 * radius + 1) - radius
-    y = (match // shape[2]) % shape[1] + below(words[2], 2 * radius + 1) - radius
-    z = match // (shape[2] * shape[1]) + below(words[1], 2 * radius + 1) - radius
+    plane, row = _quotient(match, inverses[0]), _quotient(match, inverses[1])
+    x = match - row * shape[2] + below(words[3], 2 * radius + 1) - radius
+    y = row - plane * shape[1] + below(words[2], 2 * radius + 1) - radius
+    z = plane + below(words[1], 2 * radius + 1) - radius
     x = min(max(x, 0), shape[2] - 1)
     y = min(max(y, 0), shape[1] - 1)
     z = min(max(z, 0), shape[0] - 1)
@@ -128,16 +141,18 @@ def _around(words, match, shape, radius):
 
 
 @inline
-def _better(features, place, exemplar, penalty, candidate, total, best, least):
-    """Return the better of `candidate`, whose distance begins with `total`, and `best`, and its
-    penalised distance.
+def _better(features, place, exemplar, penalty, candidate, total, best, least, kept):
+    """Return the better of `candidate`, whose distance begins with `total`, and `best`, its
+    penalised distance, of `best` `least`, and its distance, of `best` `kept`.
     """
+    if total > least:  # no factor is below 1
+        return best, least, kept
     factor = penalty[candidate]
     d = _distance(features, place, exemplar, candidate, total, least / factor)
     value = np.float32(d) * factor
     if value < least:
-        return candidate, value
-    return best, least
+        return candidate, value, d
+    return best, least, kept
 
 
 @kernel
@@ -161,8 +176,8 @@ def search_leaves(features, first, exemplar, penalty, tree, active, old, match, 
                 for n in range(starts[leaf], starts[leaf + 1]):
                     candidate = np.int64(order[n])
                     total = _begin(features, site, exemplar, candidate)
-                    best, least = _better(
-                        features, site, exemplar, penalty, candidate, total, best, least
+                    best, least, kept = _better(
+                        features, site, exemplar, penalty, candidate, total, best, least, kept
                     )
                 match[z, y, x] = best
 
@@ -178,6 +193,7 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
     random candidates one is anywhere and one around the best, in a shrinking radius.
     """
     shape, ratios, wraps, key, number, tries = sweep
+    inverses = _inverses(shape)
     Z, Y, X = old.shape
     longest = max(shape[0], max(shape[1], shape[2]))
     count = shape[0] * shape[1] * shape[2]
@@ -208,7 +224,8 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
                                 continue
                             nz, ny, nx = nz % Z, ny % Y, nx % X
                         there = np.int64(old[nz, ny, nx])
-                        candidate = _neighbour_cell(there, shape, axis, -side * ratios[axis])
+                        step = -side * ratios[axis]
+                        candidate = _neighbour_cell(there, shape, inverses, axis, step)
                         if candidate >= 0:
                             cells[known] = candidate
                             known += 1
@@ -219,28 +236,25 @@ def search(features, first, exemplar, penalty, active, old, match, distance, swe
                     known += 1
                 for n in range(known):
                     begun[n] = _begin(features, site, exemplar, cells[n])
-                own = best
                 kept = _distance(features, site, exemplar, best, begun[0], np.inf)
                 least = np.float32(kept) * penalty[best]
                 for n in range(1, moved):
                     if cells[n] != best:
-                        best, least = _better(
-                            features, site, exemplar, penalty, cells[n], begun[n], best, least
+                        best, least, kept = _better(
+                            features, site, exemplar, penalty, cells[n], begun[n], best, least, kept
                         )
                 for k in range(tries):
                     n = moved + k
-                    best, least = _better(
-                        features, site, exemplar, penalty, cells[n], begun[n], best, least
+                    best, least, kept = _better(
+                        features, site, exemplar, penalty, cells[n], begun[n], best, least, kept
                     )
-                    near = _around(drawn[k], best, shape, max(1, longest >> (k + 2)))
+                    radius = max(1, longest >> (k + 2))
+                    near = _around(drawn[k], best, shape, inverses, radius)
                     total = _begin(features, site, exemplar, near)
-                    best, least = _better(
-                        features, site, exemplar, penalty, near, total, best, least
+                    best, least, kept = _better(
+                        features, site, exemplar, penalty, near, total, best, least, kept
                     )
                 match[z, y, x] = best
-                if best != own:
-                    total = _begin(features, site, exemplar, best)
-                    kept = _distance(features, site, exemplar, best, total, np.inf)
                 distance[z, y, x] = kept
 
 
