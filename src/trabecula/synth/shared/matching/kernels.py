@@ -15,9 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from trabecula.engine.compile import inline, kernel
+from trabecula.engine.prefetch import fetch_row
 from trabecula.engine.random import below, philox
 from trabecula.engine.rows import copy_row
+from trabecula.measure.neighbours import place_along
 from trabecula.synth.shared.matching.halving_tree import find_leaf
+
+AHEAD = 8
+"""Sites whose candidates are asked for before they are compared."""
 
 
 class Sweep(NamedTuple):
@@ -128,8 +133,9 @@ def _neighbour_cell(match, shape, inverses, axis, step):
 
 
 @inline
-def _around(words, match, shape, inverses, radius):
-    """Draw a random cell within `radius` of `match`, clamped to E."""
+def _around(words, match, shape, inverses, number):
+    """Draw a random cell around `match`, clamped to E: of each number nearer than of the last."""
+    radius = max(1, max(shape[0], shape[1], shape[2]) >> (number + 2))
     plane, row = _quotient(match, inverses[0]), _quotient(match, inverses[1])
     x = match - row * shape[2] + below(words[3], 2 * radius + 1) - radius
     y = row - plane * shape[1] + below(words[2], 2 * radius + 1) - radius
@@ -182,80 +188,116 @@ def search_leaves(features, first, exemplar, penalty, tree, active, old, match, 
                 match[z, y, x] = best
 
 
+class Ahead(NamedTuple):
+    """What is known beforehand of the next `AHEAD` sites of a row: candidates (sites, n), how many
+    of them are the own match and those of the neighbours, and random numbers (sites, tries, 4).
+    """
+
+    cells: np.ndarray
+    known: np.ndarray
+    drawn: np.ndarray
+
+
 @kernel
 def search(features, first, exemplar, penalty, active, old, match, distance, sweep, start, stop):
     """Search the best of the own match, the six neighbours' moved along, and random ones, for sites
     start..stop: one sweep.
 
     features (n, Y, X, D) int16, of the sites' planes from `first` on; exemplar (N, D) int16;
-    penalty (N,) float32 factors, infinite where E has a gap; active (Z, Y, X) bool; old, match (Z,
-    Y, X) int32; distance (Z, Y, X) int32, unpenalised. Of the `tries` pairs of
+    penalty (N,) float32 factors, 1 or more, infinite where E has a gap; active (Z, Y, X) bool; old,
+    match (Z, Y, X) int32; distance (Z, Y, X) int32, unpenalised. Of the `tries` pairs of
     random candidates one is anywhere and one around the best, in a shrinking radius.
     """
-    shape, ratios, wraps, key, number, tries = sweep
+    shape, tries, width = sweep.shape, sweep.tries, old.shape[2]
     inverses = _inverses(shape)
-    Z, Y, X = old.shape
-    longest = max(shape[0], max(shape[1], shape[2]))
-    count = shape[0] * shape[1] * shape[2]
-    # All that is known beforehand is begun together: the memory then fetches for several at once.
-    fixed = 7 + tries
-    cells, begun = np.empty(fixed, np.int64), np.empty(fixed, np.int64)
-    drawn = np.empty((tries, 4), np.uint64)
+    ahead = Ahead(
+        np.empty((AHEAD, 7 + tries), np.int64),
+        np.empty(AHEAD, np.int64),
+        np.empty((AHEAD, tries, 4), np.uint64),
+    )
+    begun = np.empty(7 + tries, np.int64)
     for z in range(start, stop):
-        for y in range(Y):
-            for x in range(X):
-                if not active[z, y, x]:
-                    match[z, y, x] = old[z, y, x]
-                    distance[z, y, x] = 0
-                    continue
-                site = (z - first, y, x)
-                best = np.int64(old[z, y, x])
-                cells[0], known = best, 1
-                for axis in range(3):
-                    for side in range(-1, 2, 2):
-                        dz, dy, dx = (
-                            (side, 0, 0)
-                            if axis == 0
-                            else ((0, side, 0) if axis == 1 else (0, 0, side))
-                        )
-                        nz, ny, nx = z + dz, y + dy, x + dx
-                        if nz < 0 or ny < 0 or nx < 0 or nz >= Z or ny >= Y or nx >= X:
-                            if not wraps[axis]:
-                                continue
-                            nz, ny, nx = nz % Z, ny % Y, nx % X
-                        there = np.int64(old[nz, ny, nx])
-                        step = -side * ratios[axis]
-                        candidate = _neighbour_cell(there, shape, inverses, axis, step)
-                        if candidate >= 0:
-                            cells[known] = candidate
-                            known += 1
-                moved = known
-                for k in range(tries):
-                    copy_row(drawn[k], philox(key, z, y, x, (number << 8) + k))
-                    cells[known] = below(drawn[k, 0], count)
-                    known += 1
-                for n in range(known):
-                    begun[n] = _begin(features, site, exemplar, cells[n])
-                kept = _distance(features, site, exemplar, best, begun[0], np.inf)
-                least = np.float32(kept) * penalty[best]
-                for n in range(1, moved):
-                    if cells[n] != best:
-                        best, least, kept = _better(
-                            features, site, exemplar, penalty, cells[n], begun[n], best, least, kept
-                        )
-                for k in range(tries):
-                    n = moved + k
-                    best, least, kept = _better(
-                        features, site, exemplar, penalty, cells[n], begun[n], best, least, kept
+        for y in range(old.shape[1]):
+            for x in range(-AHEAD, width):
+                if x >= 0 and active[z, y, x]:
+                    site, n = (z - first, y, x), x % AHEAD
+                    candidates = ahead.cells[n], ahead.known[n], ahead.drawn[n]
+                    best, kept = _best_of(
+                        features, site, exemplar, penalty, candidates, begun, shape, inverses
                     )
-                    radius = max(1, longest >> (k + 2))
-                    near = _around(drawn[k], best, shape, inverses, radius)
-                    total = _begin(features, site, exemplar, near)
-                    best, least, kept = _better(
-                        features, site, exemplar, penalty, near, total, best, least, kept
-                    )
-                match[z, y, x] = best
-                distance[z, y, x] = kept
+                    match[z, y, x], distance[z, y, x] = best, kept
+                elif x >= 0:
+                    match[z, y, x], distance[z, y, x] = old[z, y, x], 0
+                if x + AHEAD < width and active[z, y, x + AHEAD]:
+                    _look_ahead(exemplar, old, sweep, inverses, (z, y, x + AHEAD), ahead)
+
+
+@inline
+def _best_of(features, site, exemplar, penalty, candidates, begun, shape, inverses):
+    """Return the best of the candidates of a site, and of those around it, and its distance."""
+    cells, known, drawn = candidates
+    tries = len(drawn)
+    for k in range(known + tries):
+        begun[k] = _begin(features, site, exemplar, cells[k])
+    best = cells[0]
+    kept = _distance(features, site, exemplar, best, begun[0], np.inf)
+    least = np.float32(kept) * penalty[best]
+    for k in range(1, known):
+        if cells[k] != best:
+            best, least, kept = _better(
+                features, site, exemplar, penalty, cells[k], begun[k], best, least, kept
+            )
+    for k in range(tries):
+        far = known + k
+        best, least, kept = _better(
+            features, site, exemplar, penalty, cells[far], begun[far], best, least, kept
+        )
+        near = _around(drawn[k], best, shape, inverses, k)
+        total = _begin(features, site, exemplar, near)
+        best, least, kept = _better(
+            features, site, exemplar, penalty, near, total, best, least, kept
+        )
+    return best, kept
+
+
+@inline
+def _look_ahead(exemplar, old, sweep, inverses, site, ahead):
+    """Find the candidates of a site that are known beforehand, and ask for their rows, and for
+    those around its match, which it often keeps.
+    """
+    shape, ratios, wraps, key, number, tries = sweep
+    n = site[2] % AHEAD
+    cells, drawn, known = ahead.cells[n], ahead.drawn[n], 1
+    cells[0] = old[site]
+    for axis in range(3):
+        for side in range(-1, 2, 2):
+            there = _moved(site, axis, side, old.shape, wraps)
+            if there[axis] < 0:
+                continue
+            step = -side * ratios[axis]
+            candidate = _neighbour_cell(np.int64(old[there]), shape, inverses, axis, step)
+            if candidate >= 0:
+                cells[known] = candidate
+                known += 1
+    ahead.known[n] = known
+    for k in range(known):
+        fetch_row(exemplar, cells[k])
+    for k in range(tries):
+        copy_row(drawn[k], philox(key, site[0], site[1], site[2], (number << 8) + k))
+        cells[known + k] = below(drawn[k, 0], shape[0] * shape[1] * shape[2])
+        fetch_row(exemplar, cells[known + k])
+        fetch_row(exemplar, _around(drawn[k], cells[0], shape, inverses, k))
+
+
+@inline
+def _moved(site, axis, side, shape, wraps):
+    """Return the next site along an axis; -1 along it where there is none."""
+    z, y, x = site
+    if axis == 0:
+        return place_along(z + side, shape[0], wraps[0]), y, x
+    if axis == 1:
+        return z, place_along(y + side, shape[1], wraps[1]), x
+    return z, y, place_along(x + side, shape[2], wraps[2])
 
 
 @kernel
