@@ -178,7 +178,7 @@ def _sum_rows(local, phase, sums):
 @inline
 def _fill(sums, n, z, y, x):
     """Return how many voxels of a phase a ball holds; -1 where it leaves the material."""
-    radius, found = RADII[n], 0
+    radius, found = RADII[n], np.int32(0)
     for dz in range(-radius, radius + 1):
         for dy in range(-radius, radius + 1):
             far = dz * dz + dy * dy
