@@ -8,8 +8,8 @@ from trabecula.core.seeds import key
 from trabecula.synth.shared.matching.grid import Grid, coherent_search, random_matches
 from trabecula.synth.shared.matching.grid import features_of as features_of_sites
 from trabecula.synth.shared.matching.halving_tree import build_tree, find_leaf
-from trabecula.synth.shared.matching.kernels import search_leaves
 from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.matching.sweeps import search_leaves
 
 GRID = (3, 4, 5)
 

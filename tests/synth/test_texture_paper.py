@@ -12,9 +12,9 @@ import trabecula as tb
 from trabecula.engine.parallel import threads
 from trabecula.errors import InputError, UnknownNameError
 from trabecula.synth.shared.matching.grid import Grid
-from trabecula.synth.shared.matching.kernels import CubeLayout, vote
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates, Stack
+from trabecula.synth.shared.matching.votes import CubeLayout, vote
 from trabecula.synth.shared.orient import SETS, apply_symmetry, symmetries
 from trabecula.synth.texture.config import TextureConfig
 from trabecula.synth.texture.energy import Energy, Feedback, adaptive_weights, energy, mismatch

@@ -24,13 +24,13 @@ from trabecula.synth.chen import CAPABILITIES
 from trabecula.synth.chen.config import ChenConfig
 from trabecula.synth.shared.content.fields import votes_of
 from trabecula.synth.shared.content.kinds import complete
-from trabecula.synth.shared.matching.kernels import reach
 from trabecula.synth.shared.matching.planes import (
     RegionViews,
     planes_at_once,
     view_layout,
 )
 from trabecula.synth.shared.matching.rounds import round_votes
+from trabecula.synth.shared.matching.votes import reach
 from trabecula.synth.shared.orient import apply_symmetry, symmetries
 from trabecula.synth.shared.solid.method import Solid
 from trabecula.synth.shared.solid.model import SolidModel

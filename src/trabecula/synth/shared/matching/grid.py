@@ -15,13 +15,6 @@ from trabecula.engine.memory import Array, Stage, Workspace
 from trabecula.engine.parallel import for_slabs, sum_slabs, thread_count
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.content.joints import find_known, pool_histograms, surroundings
-from trabecula.synth.shared.matching.kernels import (
-    Sweep,
-    count_matches,
-    search,
-    search_leaves,
-    start_matches,
-)
 from trabecula.synth.shared.matching.neighbour_search import (
     best_among,
     index_histogram,
@@ -37,6 +30,13 @@ from trabecula.synth.shared.matching.neighbourhoods import (
 )
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.sources import Candidates
+from trabecula.synth.shared.matching.sweeps import (
+    Sweep,
+    count_matches,
+    search,
+    search_leaves,
+    start_matches,
+)
 from trabecula.synth.shared.slabs import count_true, make_by_slabs
 
 _TOGETHER = 1024  # sites whose exact search is one call, unless a plane holds more

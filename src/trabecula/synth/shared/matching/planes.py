@@ -20,11 +20,11 @@ from trabecula.engine.rows import add_block
 from trabecula.synth.shared.content.fields import FULL
 from trabecula.synth.shared.content.histogram import Histogram
 from trabecula.synth.shared.matching.grid import Grid, targets_of
-from trabecula.synth.shared.matching.kernels import fold, reach
 from trabecula.synth.shared.matching.neighbourhoods import Triple
 from trabecula.synth.shared.matching.region import Region
 from trabecula.synth.shared.matching.rounds import trims_of
 from trabecula.synth.shared.matching.sources import Candidates
+from trabecula.synth.shared.matching.votes import fold, reach
 from trabecula.synth.shared.slabs import put_axis_first
 
 _MOST_WEIGHT = 1023  # of a neighbourhood

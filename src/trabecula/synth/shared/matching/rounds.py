@@ -12,9 +12,9 @@ from trabecula.synth.shared.content.fields import FULL
 from trabecula.synth.shared.content.histogram import Histogram, match_histogram
 from trabecula.synth.shared.content.joints import spread_offset
 from trabecula.synth.shared.matching.grid import Grid
-from trabecula.synth.shared.matching.kernels import CubeLayout, vote, weigh
 from trabecula.synth.shared.matching.neighbourhoods import SCALE, Triple
 from trabecula.synth.shared.matching.region import Region
+from trabecula.synth.shared.matching.votes import CubeLayout, vote, weigh
 from trabecula.synth.shared.pyramid import double
 from trabecula.synth.shared.slabs import make_by_slabs
 
