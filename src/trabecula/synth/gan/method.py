@@ -13,15 +13,12 @@ from trabecula.core.checks import as_spacing
 from trabecula.core.errors import InputError, RequestError
 from trabecula.core.image import Image
 from trabecula.core.optional import need
-from trabecula.core.progress import notify
 from trabecula.core.request import Request
 from trabecula.core.seeds import key
 from trabecula.core.target import Target, porosity_of
 from trabecula.engine.blocks import Box
 from trabecula.engine.parallel import thread_count
-from trabecula.exemplar.sections import gap_contradiction
 from trabecula.exemplar.views import spacing_of, views_of
-from trabecula.measure.disector import check_sections
 from trabecula.synth.api.exemplar_info import ExemplarInfo
 from trabecula.synth.api.method import Method, ModelState
 from trabecula.synth.api.windows import WindowModel, field_in
@@ -33,7 +30,7 @@ from trabecula.synth.gan.patterns import join_arrays, learn_bias, make_flips, sp
 from trabecula.synth.shared.patterns.bias import PatternBias
 from trabecula.synth.shared.patterns.counts import LEAST_VOXELS
 from trabecula.synth.shared.patterns.flips import LOCAL
-from trabecula.synth.shared.pictures import check_pictures_agree
+from trabecula.synth.shared.pictures import check_gap, check_pictures_agree
 from trabecula.synth.shared.tiles import tile_with_halo
 
 PROCESS = 485 << 20
@@ -74,9 +71,7 @@ class Gan(Method):
 
     def _check_exemplars(self, images: Sequence[Image]) -> None:
         if self.config.gap:
-            sections, gap = check_sections(images, self.config.gap)
-            if found := gap_contradiction(sections, gap):
-                notify(found)
+            check_gap(images, self.config.gap)
         if all(image.ndim == 3 for image in images):
             if len(images) > 1:
                 raise InputError(f"method 'gan' learns from one volume, got {len(images)}")

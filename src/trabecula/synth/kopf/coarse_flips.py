@@ -3,7 +3,7 @@ as often as in the picture, and every block stays as the scan says.
 
 The squares are those that the picture has at the scan's fraction. No picture shows how often a
 material is joined in space, and an unsharp mask joins what is near: the Euler numbers aimed at are
-those from before it.
+those from before it, or what parallel sections say.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from trabecula.synth.shared.patterns.counts import Patterns
 from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.flips import FlipRegion, flip_voxels
 from trabecula.synth.shared.patterns.planes import PlanePatterns, with_euler
+from trabecula.synth.shared.patterns.sections import SectionEuler
 
 _WITHIN = 1.0
 """Errors of a block's fraction, of grey values: flips go to the end of what they may."""
@@ -29,6 +30,7 @@ def match_picture(
     votes: np.ndarray,
     scan: CoarseScan,
     shown: PlanePatterns,
+    sections: SectionEuler | None,
     *,
     seed: int,
     rounds: int,
@@ -45,12 +47,16 @@ def match_picture(
     scan : CoarseScan
     shown : PlanePatterns
         Of the pictures, at the scan's fraction.
+    sections : SectionEuler, optional
     seed, rounds :
         As of `flip_voxels`.
     clip : float
         Voxels at which the fields saturate.
     """
-    wanted = shown.nearest_to(with_euler(_densities(values), _densities(plain).euler))
+    euler = _densities(plain).euler
+    if sections is not None:
+        euler = sections.wanted(plain.view(np.uint8), euler)
+    wanted = shown.nearest_to(with_euler(_densities(values), euler))
     place = FlipRegion(bounds=scan.bounds(0, _WITHIN))
     unit = FULL / clip * UNIT
     phases = values.view(np.uint8)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from trabecula.core.errors import InputError
 from trabecula.synth.shared.settings import keep_choices, keep_numbers
 from trabecula.synth.shared.solid.config import SolidConfig
 
@@ -43,6 +44,11 @@ class KopfConfig(SolidConfig):
         super().__post_init__()
         keep_numbers(self, {"reweighting": (0, 1000)})
         keep_choices(self, {"process": ("none", "auto", *PROCESSES)})
+        if self.gap and self.process != "none":
+            raise InputError(
+                f"process={self.process} says how the material continues across the picture, as "
+                "parallel sections do: leave out the gap, or the process"
+            )
 
     @classmethod
     def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:

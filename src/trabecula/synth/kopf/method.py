@@ -128,6 +128,7 @@ class KopfModel(SolidModel):
                     votes,
                     scan,
                     shown,
+                    self.flips.joined,
                     seed=request.seed,
                     rounds=self.flips.rounds,
                     clip=self.config.clip,
@@ -138,6 +139,11 @@ class KopfModel(SolidModel):
         super()._check_request(request)
         if request.coarse is not None:
             check_scan(request, *self._phases())
+        if request.like is not None and self.sections:
+            raise RequestError(
+                "a relative says how the material continues across the picture, as parallel "
+                "sections do: leave out the gap, or the relative"
+            )
         beside = self._beside_process(request)
         if beside and self.config.process not in ("none", "auto"):
             raise RequestError(

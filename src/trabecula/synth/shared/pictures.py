@@ -8,8 +8,12 @@ from typing import Any
 
 from trabecula.core.errors import InputError
 from trabecula.core.image import Image
+from trabecula.core.progress import notify
+from trabecula.exemplar.sections import gap_contradiction
 from trabecula.exemplar.views import View, spacing_of, views_of
+from trabecula.measure.disector import check_sections
 from trabecula.synth.api.method import Method, Model
+from trabecula.synth.shared.content.fields import phases_present
 
 ROOM = 4
 """Positions that a neighbourhood needs along an axis of a picture, at least."""
@@ -27,25 +31,53 @@ def check_pictures_agree(images: Sequence[Image]) -> None:
                 )
 
 
+def check_gap(images: Sequence[Image], gap: int) -> None:
+    """Raise where pictures are no parallel sections so far apart; where they hardly can be, say
+    so.
+    """
+    sections, gap = check_sections(images, gap)
+    if found := gap_contradiction(sections, gap):
+        notify(found)
+
+
 class PictureModel(Model):
-    """A model of a material seen in some views."""
+    """A model of a material seen in some views; `sections` are the parallel ones that it learnt
+    from.
+    """
 
     def __init__(self, config: Any, exemplars: Sequence[Image], views: Sequence[View]) -> None:
         super().__init__(config, exemplars)
         self.views = tuple(views)
+        self.sections = tuple(exemplars) if _gap_of(config) else ()
 
     def _result_fields(self) -> dict[str, Any]:
         return {**super()._result_fields(), "spacing": spacing_of(self.views)}
 
 
 class PictureMethod(Method):
-    """A method that learns from pictures; its config has a field `views`."""
+    """A method that learns from pictures; its config has a field `views`, and where it learns from
+    parallel sections a field `gap`.
+    """
 
     def _check_exemplars(self, images: Sequence[Image]) -> None:
         for image in images:
             self._check_exemplar(image)
             self._check_picture(image)
         check_pictures_agree(images)
+        gap = _gap_of(self.config)
+        if gap:
+            check_gap(images, gap)
+            if images[0].kind != "labels":
+                raise InputError(
+                    f"parallel sections say how labels are joined, got {images[0].kind}: segment "
+                    "them (--threshold), or leave out the gap"
+                )
+            known = phases_present(images[:1])
+            if phases_present(images) != known:
+                raise InputError(
+                    f"the first section has the labels {list(known)}, all of them "
+                    f"{list(phases_present(images))}: give one first that shows every phase"
+                )
 
     def _check_picture(self, image: Image) -> None:
         least = self._width() + ROOM
@@ -59,10 +91,14 @@ class PictureMethod(Method):
             raise InputError("the exemplar holds one value only: give one with structure")
 
     def learn(self, exemplars: Sequence[Image]) -> PictureModel:
-        views = views_of(exemplars, self.config.views)
+        views = views_of(exemplars, self.config.views, gap=_gap_of(self.config))
         for view in views:  # a finer picture has fewer pixels at the others' magnification
             self._check_picture(view.image)
         return self._learn(exemplars, views)
+
+    def _shown(self, exemplars: Sequence[Image]) -> Sequence[Image]:
+        """Return the exemplars that planes are to look like: of parallel sections the first."""
+        return exemplars[:1] if _gap_of(self.config) else exemplars
 
     @abstractmethod
     def _width(self) -> int:
@@ -70,3 +106,8 @@ class PictureMethod(Method):
 
     @abstractmethod
     def _learn(self, exemplars: Sequence[Image], views: tuple[View, ...]) -> PictureModel: ...
+
+
+def _gap_of(config: Any) -> int:
+    """Return the pixels from one exemplar to the next, where they are parallel sections; else 0."""
+    return int(getattr(config, "gap", 0))

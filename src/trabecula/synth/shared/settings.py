@@ -7,7 +7,7 @@ from typing import Any
 
 from trabecula.core.checks import as_number, check_name
 from trabecula.core.errors import InputError
-from trabecula.exemplar.views import as_planes
+from trabecula.exemplar.views import as_planes, check_gap_alone
 
 
 def keep_numbers(config: Any, ranges: Mapping[str, tuple[float, float]]) -> None:
@@ -58,3 +58,13 @@ def keep_choices(config: Any, choices: Mapping[str, tuple[Any, ...]]) -> None:
 def keep_views(config: Any) -> None:
     """Check the planes of `views`, and keep them as a tuple."""
     object.__setattr__(config, "views", as_planes(config.views))
+
+
+def keep_gap(config: Any) -> None:
+    """Check a `gap` of parallel sections beside `views` and `interface_rounds`."""
+    check_gap_alone(config.gap, config.views)
+    if config.gap and not config.interface_rounds:
+        raise InputError(
+            "parallel sections say how single voxels are to flip, and interface_rounds=0 flips "
+            "none: leave out the gap, or give rounds"
+        )

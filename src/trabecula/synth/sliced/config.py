@@ -6,7 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from trabecula.synth.shared.settings import keep_choices, keep_numbers, keep_rounds, keep_views
+from trabecula.synth.shared.settings import (
+    keep_choices,
+    keep_gap,
+    keep_numbers,
+    keep_rounds,
+    keep_views,
+)
 
 
 @dataclass(frozen=True)
@@ -16,6 +22,12 @@ class SlicedConfig:
     views: tuple[str, ...] = ()
     """Planes in which the result is to look like the pictures, such as yx, zx: two or three. Empty:
     one picture in all three; two pictures in yx and zx, and in zy; three in one each."""
+
+    gap: int = 0
+    """Pixels from one to the next of two or more parallel sections of a material that is alike from
+    all sides, 0 .. 32: the first is the picture, and flips (`interface_rounds`) bring the volume to
+    the Euler numbers that all of them say. Labels, and no target. 0: pictures are of different
+    planes."""
 
     levels: int = 3
     """Resolutions at most, each half the next, 1 .. 6. As many are used as leave room in picture
@@ -101,6 +113,7 @@ class SlicedConfig:
         keep_rounds(self, "rounds", low=0)
         keep_rounds(self, "corrections", low=0, high=10)
         keep_numbers(self, _RANGES)
+        keep_gap(self)
         keep_numbers(self, {"step": (1, self.neighbourhood // 2)})
         keep_choices(self, {"orientations": ("auto", "none", "mirrors", "all")})
 
@@ -121,6 +134,7 @@ _PRESETS: dict[str, dict[str, Any]] = {
 }
 
 _RANGES = {
+    "gap": (0, 32),
     "levels": (1, 6),
     "layout_rounds": (1, 500),
     "layout_width": (3, 8),

@@ -70,7 +70,8 @@ class Sliced(PictureMethod):
         """Forecast the features of every level, counted in components of the pictures as they are,
         and the components' sample.
         """
-        config, channels = self.config, channels_of(exemplars)
+        config, exemplars = self.config, self._shown(exemplars)
+        channels = channels_of(exemplars)
         alone = len(exemplars) == 1 and len(config.views) != 2
         chosen = (
             ("all" if alone else "none") if config.orientations == "auto" else config.orientations
@@ -111,7 +112,15 @@ class SlicedModel(PictureModel):
                 len(fields) == 1 and len(views) == 3 and max(spacing) <= min(spacing) * (1 + _SAME)
             )
             chosen = "all" if alone else "none"
-        self.flips = PictureFlips(views, self.content, chosen, config.interface_rounds, config.clip)
+        self.flips = PictureFlips(
+            views,
+            self.content,
+            chosen,
+            config.interface_rounds,
+            config.clip,
+            self.sections,
+            config.gap,
+        )
         pictures = Pictures(fields, views, chosen)
         width = max(config.neighbourhood, config.layout_width)
         smallest = min(min(view.image.shape) for view in views)

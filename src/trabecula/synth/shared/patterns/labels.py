@@ -13,7 +13,8 @@ from trabecula.synth.shared.content.phase_fractions import labels_of_phases, pha
 from trabecula.synth.shared.patterns.counts import Patterns
 from trabecula.synth.shared.patterns.densities import PatternDensities
 from trabecula.synth.shared.patterns.flips import FlipRegion, flip_voxels
-from trabecula.synth.shared.patterns.planes import PlanePatterns
+from trabecula.synth.shared.patterns.planes import PlanePatterns, with_euler
+from trabecula.synth.shared.patterns.sections import SectionEuler
 
 
 def shares_of(patterns: PatternDensities | PlanePatterns | None) -> tuple[float, float]:
@@ -36,6 +37,7 @@ def match_patterns(
     *,
     rounds: int,
     clip: float,
+    sections: SectionEuler | None = None,
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Return labels (Z, Y, X) with other patterns, and the report of `flip_voxels`.
 
@@ -49,12 +51,17 @@ def match_patterns(
         As `flip_voxels` takes them; of pictures those nearest to the patterns of the labels.
     clip : float
         Voxels at which the fields saturate.
+    sections : SectionEuler, optional
+        Which say how the material of pictures is joined. Default: as the labels are.
     """
     phases = phases_of(values, content.present)
     if isinstance(patterns, PlanePatterns):
         count = len(content.present)
         made = Patterns.of(phases, count, wraps=place.wraps, valid=place.valid)
-        patterns = patterns.nearest_to(PatternDensities(made.bins, made.densities))
+        given = PatternDensities(made.bins, made.densities)
+        if sections is not None:
+            given = with_euler(given, sections.wanted(phases, given.euler, place.valid))
+        patterns = patterns.nearest_to(given)
     phases, report = flip_voxels(
         phases,
         votes,

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from trabecula.core.progress import part_of
+from trabecula.core.image import Image
+from trabecula.core.progress import notify, part_of
 from trabecula.core.request import Request
 from trabecula.engine.memory import Stage
 from trabecula.exemplar.views import View
@@ -20,6 +21,7 @@ from trabecula.synth.shared.content.kinds import Content, Labels, free_voxels
 from trabecula.synth.shared.patterns.flips import FlipRegion, pattern_stages
 from trabecula.synth.shared.patterns.labels import match_patterns, shares_of
 from trabecula.synth.shared.patterns.planes import PlanePatterns, are_told
+from trabecula.synth.shared.patterns.sections import SectionEuler
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,11 @@ class PictureFlips:
         Over all voxels of interfaces; 0: none flips.
     clip : float
         Voxels at which the fields saturate.
+    sections : sequence of Image
+        Parallel ones of the material of the pictures, which say how it is joined in space; none: it
+        stays joined as it comes.
+    gap : int
+        Pixels from one to the next.
     """
 
     views: Sequence[View]
@@ -44,6 +51,8 @@ class PictureFlips:
     orientations: str
     rounds: int
     clip: float
+    sections: Sequence[Image] = ()
+    gap: int = 0
 
     def shown_for(self, request: Request) -> PlanePatterns | None:
         """Return what a result is brought to; None where nothing flips: the pictures are too small
@@ -73,6 +82,14 @@ class PictureFlips:
         return PlanePatterns.of(self.views, self.content.present, self.orientations)
 
     @cached_property
+    def joined(self) -> SectionEuler | None:
+        """Return what the sections say; None where there are none."""
+        if not self.sections:
+            return None
+        assert isinstance(self.content, Labels)
+        return SectionEuler.of(self.sections, self.content.present, self.gap)
+
+    @cached_property
     def _known(self) -> dict[float, PlanePatterns | None]:
         return {}
 
@@ -100,6 +117,11 @@ class PictureFlips:
         a report as well.
         """
         values, shown = self.content.to_values(votes, request), self.shown_for(request)
+        if self.sections and (shown is None or request.target):
+            notify(
+                "the sections' Euler number holds for labels of pictures that are large enough to "
+                "tell their patterns, at the pictures' fractions: here it is not met"
+            )
         if shown is None:
             return values
         assert isinstance(self.content, Labels)
@@ -113,6 +135,7 @@ class PictureFlips:
                 FlipRegion(request.periodic, free_voxels(request), request.mask),
                 rounds=self.rounds,
                 clip=self.clip,
+                sections=None if request.target else self.joined,
             )
         return values, {"patterns": report}
 

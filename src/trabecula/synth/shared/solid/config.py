@@ -6,7 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from trabecula.synth.shared.settings import keep_choices, keep_numbers, keep_rounds, keep_views
+from trabecula.synth.shared.settings import (
+    keep_choices,
+    keep_gap,
+    keep_numbers,
+    keep_rounds,
+    keep_views,
+)
 
 _PRESETS: dict[str, dict[str, Any]] = {
     "fast": {"first_rounds": 12, "rounds": (2, 4, 8), "sweeps": (1, 2), "tries": 2},
@@ -25,6 +31,7 @@ _PRESETS: dict[str, dict[str, Any]] = {
 }
 
 _RANGES = {
+    "gap": (0, 32),
     "neighbourhood": (4, 12),
     "levels": (1, 8),
     "first_rounds": (1, 200),
@@ -60,6 +67,12 @@ class SolidConfig:
     views: tuple[str, ...] = ()
     """Planes in which the result is to look like the pictures, such as yx, zx: two or three. Empty:
     one picture in all three; two pictures in yx and zx, and in zy; three in one each."""
+
+    gap: int = 0
+    """Pixels from one to the next of two or more parallel sections of a material that is alike from
+    all sides, 0 .. 32: the first is the picture, and flips (`interface_rounds`) bring the volume to
+    the Euler numbers that all of them say. Labels, and no target. 0: pictures are of different
+    planes."""
 
     step: int = 2
     """Distance between neighbourhoods in a plane, voxels, 1 .. w / 2. Every plane has its own."""
@@ -151,6 +164,7 @@ class SolidConfig:
         keep_rounds(self, "sweeps", high=10)
         keep_rounds(self, "corrections", low=0, high=10)
         keep_numbers(self, _RANGES)
+        keep_gap(self)
         keep_numbers(self, {"step": (1, self.neighbourhood // 2)})
         keep_numbers(self, {"trim": (0, (self.neighbourhood - self.step) // 2)})
         keep_choices(self, _CHOICES)

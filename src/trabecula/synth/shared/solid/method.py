@@ -30,6 +30,7 @@ class Solid(PictureMethod):
         """Forecast the fields and neighbourhoods of the levels learnt so far, and the memory for
         learning the next one beside them.
         """
+        exemplars = self._shown(exemplars)
         featured = bool(self.config.feature) and exemplars[0].kind != "labels"
         channels, width = channels_of(exemplars) + featured, self._width()
         turns = len(symmetries(self.config.orientations, ndim=2))

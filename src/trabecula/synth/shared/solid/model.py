@@ -67,7 +67,13 @@ class SolidModel(PictureModel):
             rim=config.clip if config.feature else None,
         )
         self.flips = PictureFlips(
-            views, self.content, config.orientations, config.interface_rounds, config.clip
+            views,
+            self.content,
+            config.orientations,
+            config.interface_rounds,
+            config.clip,
+            self.sections,
+            config.gap,
         )
         # Views of the same picture share all that is learnt from it.
         self.numbers = [
