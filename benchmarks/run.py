@@ -139,6 +139,7 @@ CASES: dict[str, Callable[[], None]] = {
     "closed_cells": closed_cells.closed_cells,
     "sections": sections.sections,
     "section_verdicts": sections.section_verdicts,
+    "section_volumes": sections.section_volumes,
     "image_paper": image_paper.image_paper,
     "image_cooling": image_figures.image_cooling,
     "image_upsampling": image_figures.image_upsampling,

@@ -70,6 +70,45 @@ def section_verdicts() -> None:
             row(f"{name}: {word}", f"{1e6 * found[0].value:.0f}", *map(_shown, found))
 
 
+def section_volumes() -> None:
+    """Volumes of 96^3 by `kopf` from one slice of a scan, from that and the one 2 voxels above, and
+    from five of them, starting at a quarter, a half and three quarters of the scan along z; seeds
+    0 .. 2.
+
+    Ratios to the scan's box of 96^3 at its corner: the Euler number, surface, thickness and
+    permeability; and the largest void and solid as they are.
+    """
+    heads = ("Euler", "surface", "thickness", "k", "void", "solid")
+    row = table("scan, from, slices", *heads, wide=34)
+    for name, scan in _labels():
+        if name not in (asked("ONLY") or (*JUDGED, "bone a")):
+            continue
+        truth = _joined(tb.crop(scan, [min(SIDE, side) for side in scan.shape], corner=(0, 0, 0)))
+        row(f"{name}: the scan", *("1" for _ in heads[:4]), *(f"{one:.2f}" for one in truth[4:]))
+        for seed, place in enumerate((0.25, 0.5, 0.75)):
+            first = min(int(place * len(scan.values)), len(scan.values) - 1 - 2 * 4)
+            stack = [section(scan, first + 2 * n) for n in range(5)]
+            for count in (1, 2, 5):
+                method = tb.method("kopf", gap=0 if count == 1 else 2)
+                found = _joined(method.fit(stack[:count]).generate(SIDE, seed=seed))
+                ratios = [one / own if own else np.nan for one, own in zip(found, truth)]
+                cells = [f"{one:.2f}" for one in (*ratios[:4], *found[4:])]
+                row(f"{name}, {place}: {count}", *cells)
+
+
+def _joined(volume: tb.Image) -> tuple[float, ...]:
+    """What `section_volumes` compares."""
+    flow = [tb.measure.permeability(volume, axis=axis).value for axis in range(3)]
+    return (
+        tb.measure.euler_density(volume),
+        tb.measure.specific_surface(volume),
+        tb.measure.thickness(volume),
+        float(np.mean(flow)),
+        tb.measure.largest_fraction(volume, phase="void"),
+        tb.measure.largest_fraction(volume),
+    )
+
+
 def _shown(metric: Metric) -> str:
     low, high = metric.real_band
     return f"{1e6 * low:.0f} .. {1e6 * high:.0f}{'' if metric.passed else ' out'}"
