@@ -98,10 +98,20 @@ def test_where_they_cannot_be_met_a_line_says_so():
     model = tb.method("kopf", **QUICK).fit([picture(phases[4]), picture(phases[6])])
     said = []
     with listen(lambda label, fraction: said.append(label)):
-        model.generate(tb.Request(24, seed=1))
+        model.generate(24, seed=1)
         assert not any("sections" in line for line in said)
         model.generate(tb.Request(24, seed=1, target={"porosity": 0.45}))
     assert any("the sections' Euler number holds for labels" in line for line in said)
+
+
+def test_few_sections_are_told_to_scatter():
+    phases = blobs((12, 40, 40), 2.0, 0)
+    sections = [picture(phases[n]) for n in range(0, 12, 2)]
+    for count, told in ((2, True), (5, False)):
+        said = []
+        with listen(lambda label, fraction, said=said: said.append(label)):
+            tb.method("kopf", **QUICK).fit(sections[:count])
+        assert any("2 sections say scatters" in line for line in said) == told
 
 
 @pytest.mark.parametrize("method", sorted(SHORT))
