@@ -1,5 +1,5 @@
 """Rows that are read soon, asked for within kernels: places at random in a large table come from
-the memory, which gives many at once where it is told early.
+the memory, which gives many at once where it is asked early.
 """
 
 from __future__ import annotations
