@@ -120,7 +120,7 @@ class SlicedConfig:
     @classmethod
     def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Complete the settings of a recipe or a model that is older than some of them."""
-        return {"interface_rounds": 0, **settings}
+        return {"interface_rounds": 0, "gap": 0, **settings}
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:

@@ -172,7 +172,7 @@ class SolidConfig:
     @classmethod
     def recorded(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Complete the settings of a recipe or a model that is older than some of them."""
-        return {"feature": False, "interface_rounds": 0, **settings}
+        return {"feature": False, "interface_rounds": 0, "gap": 0, **settings}
 
     @classmethod
     def preset(cls, name: str) -> dict[str, Any]:
