@@ -206,11 +206,12 @@ def test_flips_bring_patterns_nearer_and_keep_fractions(smooth_and_target):
     assert np.count_nonzero(made != phases) <= report["changed"]
 
 
-def test_the_change_of_one_block_is_the_change_of_the_counts(monkeypatch):
+@pytest.mark.parametrize("count", [2, 3])
+def test_the_change_of_one_block_is_the_change_of_the_counts(monkeypatch, count):
     from trabecula.synth.shared.patterns import flips
 
-    phases, votes = blobs(0, (40, 34, 38))
-    patterns = learn(grainy(phases, 1))
+    phases, votes = blobs(0, (40, 34, 38), count=count)
+    patterns = learn(grainy(phases, 1), count)
     told = []
     own = flips._round
 
@@ -225,7 +226,8 @@ def test_the_change_of_one_block_is_the_change_of_the_counts(monkeypatch):
     for before, (made, change) in zip((phases, told[0][0]), told, strict=True):
         assert np.any(made != before)
         np.testing.assert_allclose(
-            Patterns.of(made, 2, balls=True).counts - Patterns.of(before, 2, balls=True).counts,
+            Patterns.of(made, count, balls=True).counts
+            - Patterns.of(before, count, balls=True).counts,
             change,
             atol=1e-6,
         )

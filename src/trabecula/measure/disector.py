@@ -10,6 +10,7 @@ thinner than h is missed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -119,13 +120,29 @@ def density_between(
         Of a layer.
     step : int
     """
+    pairs = zip(slices[:-step], slices[step:], strict=True)
+    return float(np.mean([layer_euler(lower, upper, edges) for lower, upper in pairs]) / height)
 
-    def plane(inside: np.ndarray) -> float:  # per area, neighbours share an edge
-        return densities(count_cubes(inside, None), tuple(edges), 4).euler_density
 
-    own = np.array([plane(each) for each in slices])
-    common = [plane(a & b) for a, b in zip(slices[:-step], slices[step:], strict=True)]
-    return float(np.mean((own[:-step] + own[step:]) / 2 - common) / height)
+def layer_euler(
+    lower: np.ndarray, upper: np.ndarray, edges: Sequence[float], valid: np.ndarray | None = None
+) -> float:
+    """Return the Euler number per area of the layer between two slices.
+
+    Parameters
+    ----------
+    lower, upper : (Y, X) bool
+    edges : two floats
+        Of a pixel.
+    valid : (Y, X) bool, optional
+        Pixels that count. NaN where four of them share no corner. Default: all.
+    """
+    counts = [count_cubes(inside, valid) for inside in (lower, upper, lower & upper)]
+    if not counts[0].any():
+        return math.nan
+    # of a plane, whose neighbours share an edge
+    ends = [densities(each, tuple(edges), 4).euler_density for each in counts]
+    return (ends[0] + ends[1]) / 2 - ends[2]
 
 
 def check_sections(sections: Sequence[Image | ArrayLike], gap: int) -> tuple[list[Image], int]:

@@ -111,6 +111,7 @@ class KopfModel(SolidModel):
             notify(
                 "the picture does not tell of material with the scan's fraction "
                 f"({scan.material.fraction:.3f}): interfaces stay as they are sharpened"
+                + (", and the sections' Euler number is not met" if self.sections else "")
             )
         shares = shares_of(shown)
         with part_of(shares, 0):

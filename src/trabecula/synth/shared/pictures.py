@@ -18,7 +18,6 @@ from trabecula.synth.shared.content.fields import phases_present
 ROOM = 4
 """Positions that a neighbourhood needs along an axis of a picture, at least."""
 
-
 _ENOUGH = 4  # parallel sections
 
 
@@ -41,6 +40,27 @@ def check_gap(images: Sequence[Image], gap: int) -> None:
     sections, gap = check_sections(images, gap)
     if found := gap_contradiction(sections, gap):
         notify(found)
+
+
+def _check_sections(images: Sequence[Image], gap: int) -> None:
+    """Raise where parallel sections do not say how labels are joined; where few do, say so."""
+    if images[0].kind != "labels":
+        raise InputError(
+            f"parallel sections say how labels are joined, got {images[0].kind}: segment them "
+            "(--threshold), or leave out the gap"
+        )
+    first, every = phases_present(images[:1]), phases_present(images)
+    if first != every:
+        raise InputError(
+            f"the first section has the labels {list(first)}, all of them {list(every)}: give one "
+            "first that shows every phase"
+        )
+    check_gap(images, gap)
+    if len(images) < _ENOUGH:
+        notify(
+            f"the Euler number that {len(images)} sections say scatters, in scans by a tenth to "
+            "nine tenths of it: give five, where there are more"
+        )
 
 
 class PictureModel(Model):
@@ -67,25 +87,8 @@ class PictureMethod(Method):
             self._check_exemplar(image)
             self._check_picture(image)
         check_pictures_agree(images)
-        gap = _gap_of(self.config)
-        if gap:
-            check_gap(images, gap)
-            if images[0].kind != "labels":
-                raise InputError(
-                    f"parallel sections say how labels are joined, got {images[0].kind}: segment "
-                    "them (--threshold), or leave out the gap"
-                )
-            if len(images) < _ENOUGH:
-                notify(
-                    f"the Euler number that {len(images)} sections say scatters by a third to two "
-                    "thirds of itself: give five, where there are more"
-                )
-            known = phases_present(images[:1])
-            if phases_present(images) != known:
-                raise InputError(
-                    f"the first section has the labels {list(known)}, all of them "
-                    f"{list(phases_present(images))}: give one first that shows every phase"
-                )
+        if gap := _gap_of(self.config):
+            _check_sections(images, gap)
 
     def _check_picture(self, image: Image) -> None:
         least = self._width() + ROOM

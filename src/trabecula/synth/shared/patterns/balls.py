@@ -207,6 +207,7 @@ def no_balls():
 
 @inline
 def _filled(fills):
+    """Return balls with the steps to those that hold a voxel."""
     lines = np.empty(len(_near), np.int64)
     for n in range(len(_near)):
         z, y, x = _near[n]

@@ -12,8 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from trabecula.engine.compile import inline
+from trabecula.engine.rows import copy_row
 from trabecula.synth.shared.patterns.balls import (
     BALL_BINS,
+    OUTSIDE,
     FilledBalls,
     list_ball_changes,
     refill_balls,
@@ -22,7 +24,6 @@ from trabecula.synth.shared.patterns.kernels import (
     CHORDS,
     MARGIN,
     NEIGHBOURS,
-    OUTSIDE,
     REACH,
     STRIDES,
     WEIGHTS,
@@ -89,7 +90,7 @@ def pattern_block(local, phases, balls):
         for y in range(MARGIN - 1, local.shape[1] - MARGIN + 1):
             neighbours_of_row(local, z, y, row, seen)
             first = z * steps[0] + y * steps[1] + MARGIN - 1
-            codes[first : first + side] = row
+            copy_row(codes[first : first + side], row)
     cubes = (phases ** np.arange(8), np.empty(18, np.int64), np.empty(12, np.int64))
     return PatternBlock(phases, voxels, steps, near, codes, balls, *cubes)
 

@@ -4,14 +4,13 @@ from pictures are brought to.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from trabecula.core.image import Image
-from trabecula.measure.configurations import count_cubes
-from trabecula.measure.minkowski import densities
+from trabecula.measure.disector import density_between, layer_euler
 from trabecula.synth.shared.content.phase_fractions import phases_of
 
 _PAIRS = 64  # of slices of a volume along an axis, at most
@@ -37,11 +36,10 @@ class SectionEuler:
     @classmethod
     def of(cls, sections: Sequence[Image], present: Sequence[int], gap: int) -> SectionEuler:
         """Measure two or more sections of labels, one above the other."""
-        planes = np.stack([each.values for each in sections])
-        phases, kinds = phases_of(planes, tuple(present)), range(len(present))
-        chosen = kinds[1:] if len(kinds) == 2 else kinds
-        firsts = range(len(phases) - 1)
-        return cls(gap, {one: _between(phases, firsts, 1, one, None) / gap for one in chosen})
+        planes = phases_of(np.stack([each.values for each in sections]), tuple(present))
+        kinds = range(1, 2) if len(present) == 2 else range(len(present))
+        own = {one: density_between(planes == one, _PIXEL, height=gap) for one in kinds}
+        return cls(gap, own)
 
     def wanted(
         self, phases: np.ndarray, euler: np.ndarray, valid: np.ndarray | None = None
@@ -70,25 +68,11 @@ class SectionEuler:
     def _along(self, phases: np.ndarray, axis: int, phase: int, valid: np.ndarray | None) -> float:
         """Return what pairs of slices across an axis say; NaN where there are none."""
         planes, last = np.moveaxis(phases, axis, 0), phases.shape[axis] - self.gap
-        if last < 1:
-            return np.nan
-        firsts = np.unique(np.linspace(0, last - 1, min(last, _PAIRS)).astype(int))
         masks = None if valid is None else np.moveaxis(valid, axis, 0)
-        return _between(planes, firsts, self.gap, phase, masks) / self.gap
-
-
-def _between(
-    planes: np.ndarray, firsts: Iterable[int], step: int, phase: int, valid: np.ndarray | None
-) -> float:
-    """Return (chi(S) + chi(T)) / 2 - chi(S and T) per area, the mean of pairs of planes `step`
-    apart; NaN where none has room.
-    """
-    told = []
-    for first in firsts:
-        lower, upper = planes[first] == phase, planes[first + step] == phase
-        mask = None if valid is None else valid[first] & valid[first + step]
-        counts = [count_cubes(each, mask) for each in (lower, upper, lower & upper)]
-        if counts[0].sum():
-            ends = [densities(each, _PIXEL, 4).euler_density for each in counts]
-            told.append((ends[0] + ends[1]) / 2 - ends[2])
-    return float(np.mean(told)) if told else np.nan
+        found = []
+        for first in np.unique(np.linspace(0, last - 1, max(0, min(last, _PAIRS))).astype(int)):
+            lower, upper = planes[first] == phase, planes[first + self.gap] == phase
+            mask = None if masks is None else masks[first] & masks[first + self.gap]
+            found.append(layer_euler(lower, upper, _PIXEL, mask))
+        told = [one for one in found if np.isfinite(one)]
+        return float(np.mean(told)) / self.gap if told else np.nan
