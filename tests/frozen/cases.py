@@ -346,6 +346,14 @@ def _texture_default() -> tb.Image:
     return tb.method("texture").fit(bone(24)).generate(SHAPE, seed=6)
 
 
+@case("kopf-sections")
+def _kopf_sections() -> tb.Image:
+    volume = bone(64).values
+    sections = [tb.Image(np.ascontiguousarray(volume[n]), "labels") for n in (30, 32, 34, 36)]
+    learned = tb.method("kopf", **QUICK["kopf"], gap=2).fit(sections)
+    return learned.generate((24, 28, 26), seed=2)
+
+
 @case("kopf-coarse")
 def _kopf_coarse() -> tb.Image:
     truth = tb.Image(bone(64).values, "labels", phases=("void", "solid"))

@@ -134,18 +134,24 @@ def _around(words, match, shape, inverses, number):
 
 
 @inline
-def _better(features, place, exemplar, penalty, candidate, total, best, least, kept):
-    """Return the better of `candidate`, whose distance begins with `total`, and `best`, its
-    penalised distance, of `best` `least`, and its distance, of `best` `kept`.
+def _better(features, place, exemplar, penalty, candidate, total, best):
+    """Return the better of `candidate`, whose distance begins with `total`, and `best`: a
+    candidate, its distance, and that times its penalty.
     """
+    least = best[2]
     if total > least:  # no factor is below 1
-        return best, least, kept
+        return best
     factor = penalty[candidate]
     d = _distance(features, place, exemplar, candidate, total, least / factor)
     value = np.float32(d) * factor
-    if value < least:
-        return candidate, value, d
-    return best, least, kept
+    return (candidate, d, value) if value < least else best
+
+
+@inline
+def _own(features, place, exemplar, penalty, candidate, total):
+    """Return a candidate, whose distance begins with `total`, as `_better` does."""
+    d = _distance(features, place, exemplar, candidate, total, np.inf)
+    return candidate, d, np.float32(d) * penalty[candidate]
 
 
 @kernel
@@ -157,22 +163,19 @@ def search_leaves(features, first, exemplar, penalty, tree, active, old, match, 
     for z in range(start, stop):
         for y in range(old.shape[1]):
             for x in range(old.shape[2]):
-                best = np.int64(old[z, y, x])
-                match[z, y, x] = best
+                own = np.int64(old[z, y, x])
+                match[z, y, x] = own
                 if not active[z, y, x]:
                     continue
                 site = (z - first, y, x)
-                total = _begin(features, site, exemplar, best)
-                kept = _distance(features, site, exemplar, best, total, np.inf)
-                least = np.float32(kept) * penalty[best]
+                total = _begin(features, site, exemplar, own)
+                best = _own(features, site, exemplar, penalty, own, total)
                 leaf = find_leaf(features, site, axes, cuts)
                 for n in range(starts[leaf], starts[leaf + 1]):
                     candidate = np.int64(order[n])
                     total = _begin(features, site, exemplar, candidate)
-                    best, least, kept = _better(
-                        features, site, exemplar, penalty, candidate, total, best, least, kept
-                    )
-                match[z, y, x] = best
+                    best = _better(features, site, exemplar, penalty, candidate, total, best)
+                match[z, y, x] = best[0]
 
 
 class Ahead(NamedTuple):
@@ -226,25 +229,17 @@ def _best_of(features, site, exemplar, penalty, candidates, begun, shape, invers
     tries = len(drawn)
     for k in range(known + tries):
         begun[k] = _begin(features, site, exemplar, cells[k])
-    best = cells[0]
-    kept = _distance(features, site, exemplar, best, begun[0], np.inf)
-    least = np.float32(kept) * penalty[best]
+    best = _own(features, site, exemplar, penalty, cells[0], begun[0])
     for k in range(1, known):
-        if cells[k] != best:
-            best, least, kept = _better(
-                features, site, exemplar, penalty, cells[k], begun[k], best, least, kept
-            )
+        if cells[k] != best[0]:
+            best = _better(features, site, exemplar, penalty, cells[k], begun[k], best)
     for k in range(tries):
         far = known + k
-        best, least, kept = _better(
-            features, site, exemplar, penalty, cells[far], begun[far], best, least, kept
-        )
-        near = _around(drawn[k], best, shape, inverses, k)
+        best = _better(features, site, exemplar, penalty, cells[far], begun[far], best)
+        near = _around(drawn[k], best[0], shape, inverses, k)
         total = _begin(features, site, exemplar, near)
-        best, least, kept = _better(
-            features, site, exemplar, penalty, near, total, best, least, kept
-        )
-    return best, kept
+        best = _better(features, site, exemplar, penalty, near, total, best)
+    return best[0], best[1]
 
 
 @inline
